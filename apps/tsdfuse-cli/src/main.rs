@@ -1,0 +1,2 @@
+//! The tsdfuse command.
+fn main() {}

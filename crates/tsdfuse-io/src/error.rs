@@ -1,0 +1,61 @@
+//! What can go wrong with files: every message names the file, the scan or line, and the reason.
+
+use std::path::{Path, PathBuf};
+
+/// The one error of this crate. Its message is one line.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The operating system refused.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The bytes are not what the format promises.
+    #[error("{}: {reason}", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// Where in it and what is wrong.
+        reason: String,
+    },
+    /// The path holds nothing that is read here, or its parts do not fit together.
+    #[error("{}: {reason}", path.display())]
+    Dataset {
+        /// The data set's folder.
+        path: PathBuf,
+        /// What is missing or contradictory.
+        reason: String,
+    },
+}
+
+impl Error {
+    /// Wraps a system error with its path.
+    pub fn io(path: impl AsRef<Path>) -> impl FnOnce(std::io::Error) -> Self {
+        move |source| Self::Io {
+            path: path.as_ref().to_owned(),
+            source,
+        }
+    }
+
+    /// A file whose content is wrong.
+    pub fn format(path: impl AsRef<Path>, reason: impl Into<String>) -> Self {
+        Self::Format {
+            path: path.as_ref().to_owned(),
+            reason: reason.into(),
+        }
+    }
+
+    /// A folder that cannot be used.
+    pub fn dataset(path: impl AsRef<Path>, reason: impl Into<String>) -> Self {
+        Self::Dataset {
+            path: path.as_ref().to_owned(),
+            reason: reason.into(),
+        }
+    }
+}
+
+/// Result with this crate's [`Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
