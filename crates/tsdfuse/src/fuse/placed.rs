@@ -1,0 +1,85 @@
+//! Returns placed in the world: motion undone, every return with the ray it was measured along.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::FuseError;
+use crate::{
+    index::{Anchor, Grid, GridPoint},
+    scan::Scan,
+};
+
+/// The returns of one scan in world axes, relative to the scan's anchor (the sensor's position at the scan's pose), metres.
+#[derive(Debug, Default)]
+pub(crate) struct Placed {
+    anchor: Option<Anchor>,
+    /// End of each ray.
+    pub(crate) points: Vec<Vec3>,
+    /// Start of each ray; empty if all start at the anchor.
+    pub(crate) origins: Vec<Vec3>,
+}
+
+/// One return as the methods see it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ray {
+    /// Where the ray ended.
+    pub(crate) end: GridPoint,
+    /// Unit vector from the sensor to the return, world axes.
+    pub(crate) direction: Vec3,
+    /// Distance from the sensor.
+    pub(crate) range_m: f32,
+}
+
+impl Placed {
+    /// Places all returns of a scan, reusing this buffer.
+    pub(crate) fn place(&mut self, grid: Grid, scan: &Scan) -> Result<(), FuseError> {
+        scan.check()?;
+        let position = scan.pose.translation;
+        let anchor = grid.anchor(position).ok_or_else(|| FuseError::OutsideGrid {
+            scan: scan.name.clone(),
+            position,
+        })?;
+        self.anchor = Some(anchor);
+        self.origins.clear();
+        match (scan.trajectory(), &scan.times) {
+            (Some(trajectory), Some(times)) => {
+                let placed = scan.points.par_iter().zip(times).map(|(point, &secs)| {
+                    let (rotation, shift) = trajectory.relative_at(f64::from(secs));
+                    ((rotation * point.as_dvec3() + shift).as_vec3(), shift.as_vec3())
+                });
+                placed.unzip_into_vecs(&mut self.points, &mut self.origins);
+            }
+            _ => {
+                let rotation = glam::DMat3::from_quat(scan.pose.rotation);
+                scan.points
+                    .par_iter()
+                    .map(|p| (rotation * p.as_dvec3()).as_vec3())
+                    .collect_into_vec(&mut self.points);
+            }
+        }
+        Ok(())
+    }
+
+    /// The number of returns.
+    pub(crate) fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// One return; `None` if it is invalid or outside the grid.
+    #[inline]
+    pub(crate) fn ray(&self, i: usize) -> Option<Ray> {
+        let point = self.points[i];
+        let along = point - self.origins.get(i).copied().unwrap_or(Vec3::ZERO);
+        let range_m = along.length();
+        // Also false for NaN.
+        if !(range_m > 0.0 && range_m < f32::MAX) {
+            return None;
+        }
+        let end = self.anchor?.locate(point)?;
+        Some(Ray {
+            end,
+            direction: along / range_m,
+            range_m,
+        })
+    }
+}

@@ -1,0 +1,193 @@
+//! All voxel ↔ block ↔ world arithmetic, and nothing else.
+//!
+//! ```text
+//!   world x, metres     -0.40            0.00  0.05  0.10            0.40          κ = 0.05 m
+//!                         |---- block -1 ---|---- block 0 -------------|
+//!   voxel index             -8 … -1            0     1   …     7         8 …
+//!   voxel i covers [iκ, (i+1)κ), its centre is (i+½)κ;   block = floor(i / 8),  local = i mod 8
+//!
+//!   number of a voxel in its block: x + 8 y + 64 z  (local coordinates)
+//! ```
+
+use glam::{DVec3, IVec3, Vec3};
+
+/// Voxels along the edge of a block.
+pub const BLOCK_EDGE: i32 = 8;
+/// Voxels in a block.
+pub const BLOCK_VOXELS: usize = 512;
+
+/// Voxel coordinates beyond this are not stored: ±53 000 km at 5 cm.
+const MAX_VOXEL: f64 = (1 << 30) as f64;
+
+/// Scan origins are rounded to this fraction of a voxel (12 µm at 5 cm), so that moving a whole data set by a multiple of the
+/// block's edge moves the map exactly, whatever the size of the coordinates.
+const ORIGIN_STEPS_PER_VOXEL: f64 = 4096.0;
+
+/// The integer coordinates of a voxel block. Ordered by z, then y, then x.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct BlockIndex(pub IVec3);
+
+impl BlockIndex {
+    /// The block that holds a voxel (true floor: negative indices too).
+    #[inline]
+    pub fn of(voxel: IVec3) -> Self {
+        Self(voxel >> 3)
+    }
+
+    /// The voxel with the block's lowest coordinates.
+    #[inline]
+    pub fn first_voxel(self) -> IVec3 {
+        self.0 << 3
+    }
+}
+
+impl Ord for BlockIndex {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        let key = |b: &Self| (b.0.z, b.0.y, b.0.x);
+        key(self).cmp(&key(other))
+    }
+}
+
+impl PartialOrd for BlockIndex {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// The number of a voxel within its block, 0..512.
+#[inline]
+pub fn local_number(voxel: IVec3) -> usize {
+    let v = voxel & 7;
+    (v.x | v.y << 3 | v.z << 6) as usize
+}
+
+/// The voxel with number `local` in a block.
+#[inline]
+pub fn voxel_at(block: BlockIndex, local: usize) -> IVec3 {
+    let l = local as i32;
+    block.first_voxel() + IVec3::new(l & 7, (l >> 3) & 7, l >> 6)
+}
+
+/// A place in the grid: a voxel, and the position within it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GridPoint {
+    /// The voxel that holds the point.
+    pub voxel: IVec3,
+    /// Position within the voxel, in voxels, each coordinate in [0, 1].
+    pub fraction: Vec3,
+}
+
+/// A regular grid of voxels over the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    voxel_size_m: f64,
+}
+
+impl Grid {
+    /// A grid of voxels with this edge.
+    pub fn new(voxel_size_m: f64) -> Self {
+        Self { voxel_size_m }
+    }
+
+    /// The edge of a voxel.
+    pub fn voxel_size_m(&self) -> f64 {
+        self.voxel_size_m
+    }
+
+    /// The centre of a voxel in the world.
+    pub fn center(&self, voxel: IVec3) -> DVec3 {
+        (voxel.as_dvec3() + 0.5) * self.voxel_size_m
+    }
+
+    /// Anchors a scan in the grid at its sensor's position in the world; `None` where the grid ends.
+    pub fn anchor(&self, world: DVec3) -> Option<Anchor> {
+        let v = world / self.voxel_size_m;
+        let base = v.floor();
+        // Also false for NaN.
+        if !(base.abs().max_element() < MAX_VOXEL) {
+            return None;
+        }
+        let fraction = ((v - base) * ORIGIN_STEPS_PER_VOXEL).round() / ORIGIN_STEPS_PER_VOXEL;
+        Some(Anchor {
+            base: base.as_ivec3(),
+            fraction,
+            voxels_per_m: 1.0 / self.voxel_size_m,
+        })
+    }
+}
+
+/// Where a scan's origin lies in the grid; its points are located relative to it, with no large coordinates involved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Anchor {
+    base: IVec3,
+    fraction: DVec3,
+    voxels_per_m: f64,
+}
+
+impl Anchor {
+    /// Locates a point given relative to the anchor (world axes, metres); `None` where the grid ends or for NaN.
+    #[inline]
+    pub fn locate(&self, from_anchor_m: Vec3) -> Option<GridPoint> {
+        let v = self.fraction + from_anchor_m.as_dvec3() * self.voxels_per_m;
+        let base = v.floor();
+        if !(base.abs().max_element() < MAX_VOXEL) {
+            return None;
+        }
+        Some(GridPoint {
+            voxel: self.base + base.as_ivec3(),
+            fraction: (v - base).as_vec3(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn any_voxel() -> impl Strategy<Value = IVec3> {
+        prop::array::uniform3(-100_000_000..100_000_000i32).prop_map(IVec3::from)
+    }
+
+    proptest! {
+        #[test]
+        fn block_and_local_name_the_voxel(v in any_voxel()) {
+            prop_assert_eq!(voxel_at(BlockIndex::of(v), local_number(v)), v);
+            for axis in 0..3 {
+                prop_assert_eq!(BlockIndex::of(v).0[axis], (f64::from(v[axis]) / 8.0).floor() as i32);
+            }
+        }
+
+        #[test]
+        fn a_located_point_lies_in_its_voxel(o in prop::array::uniform3(-6e6..6e6f64), p in prop::array::uniform3(-200.0..200.0f32)) {
+            let grid = Grid::new(0.05);
+            let at = grid.anchor(o.into()).unwrap().locate(p.into()).unwrap();
+            let world = (at.voxel.as_dvec3() + at.fraction.as_dvec3()) * 0.05;
+            prop_assert!(world.distance(DVec3::from(o) + Vec3::from(p).as_dvec3()) < 2e-5);
+        }
+
+        #[test]
+        fn moving_by_whole_voxels_moves_exactly(
+            o in prop::array::uniform3(-50.0..50.0f64), p in prop::array::uniform3(-200.0..200.0f32),
+        ) {
+            // Rounded positions, so that the test does not sit on a rounding border of the anchor.
+            let o = (DVec3::from(o) * 1000.0).round() / 1000.0;
+            let grid = Grid::new(0.05);
+            let near = grid.anchor(o).unwrap().locate(p.into()).unwrap();
+            let far = grid.anchor(o + DVec3::new(5e5, 5.4e6, 300.0)).unwrap().locate(p.into()).unwrap();
+            prop_assert_eq!(far.voxel - near.voxel, IVec3::new(10_000_000, 108_000_000, 6_000));
+            prop_assert_eq!(far.fraction, near.fraction);
+        }
+    }
+
+    #[test]
+    fn the_grid_has_an_end() {
+        let grid = Grid::new(0.05);
+        assert!(grid.anchor(DVec3::new(1e9, 0.0, 0.0)).is_none());
+        assert!(grid.anchor(DVec3::NAN).is_none());
+        let anchor = grid.anchor(DVec3::ZERO).unwrap();
+        assert!(anchor.locate(Vec3::splat(f32::INFINITY)).is_none());
+        assert!(anchor.locate(Vec3::splat(f32::NAN)).is_none());
+        assert!(anchor.locate(Vec3::splat(1e9)).is_none());
+    }
+}

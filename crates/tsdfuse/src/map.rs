@@ -1,0 +1,349 @@
+//! The map: voxel blocks in a hash table, each voxel two integer sums.
+//!
+//! A voxel holds S_w = Σ w and S_f = Σ w·f over all its updates, in fixed point, so that the update rule (3.5)(3.6)
+//!
+//! ```text
+//!   F ← (W·F + Σ w f) / (W + Σ w),     W ← min(W + Σ w, W_max)
+//! ```
+//!
+//! is a pair of integer additions: the same bits in any order, on any number of threads. F = S_f / S_w is derived when read.
+//!
+//! The table is split into [`SHARDS`] parts by the spatial hash (5.1); a part is only ever touched by one thread at a time,
+//! so that there are neither locks nor atomics (see [`crate::fuse`]).
+
+use glam::IVec3;
+use hashbrown::HashMap;
+use rayon::prelude::*;
+use rustc_hash::FxBuildHasher;
+use serde::{Deserialize, Serialize};
+
+use crate::index::{BLOCK_VOXELS, BlockIndex, Grid, local_number};
+
+/// Fixed-point scale of weights and of weighted distances: an update of weight 1 adds 8192. A weight of 0.01 (a return at
+/// 100 m) still adds 82, and moves S_f in steps of 1/82 of the truncation.
+pub const WEIGHT_SCALE: u32 = 1 << 13;
+
+/// The largest weight a voxel can hold: 131 072 observations of weight 1. What is added beyond keeps F and forgets the past
+/// as `max_weight` says.
+pub const MAX_WEIGHT: f32 = (1 << 17) as f32;
+
+/// Parts of the block table.
+pub const SHARDS: usize = 64;
+
+/// Size of voxels and of the band around the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MapConfig {
+    /// κ, the edge of a voxel.
+    pub voxel_size_m: f64,
+    /// μ, half the width of the band around the surface in which distances are stored.
+    pub truncation_m: f64,
+    /// W_max: weights are limited to this, so that the map follows changes. At most [`MAX_WEIGHT`], which is the default.
+    pub max_weight: f32,
+}
+
+impl Default for MapConfig {
+    fn default() -> Self {
+        Self {
+            voxel_size_m: 0.05,
+            truncation_m: 0.20,
+            max_weight: MAX_WEIGHT,
+        }
+    }
+}
+
+/// Why a map cannot be made.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MapError {
+    /// A length must be positive and finite.
+    #[error("{name} must be a positive length in metres, not {value}")]
+    Length {
+        /// The field.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// The band must hold at least one voxel on each side of the surface, and not thousands.
+    #[error("the truncation ({truncation_m} m) must be between 1 and 64 voxels ({voxel_size_m} m each)")]
+    Truncation {
+        /// μ.
+        truncation_m: f64,
+        /// κ.
+        voxel_size_m: f64,
+    },
+    /// Zero would never remember, more does not fit.
+    #[error("max_weight must be above 0 and at most {MAX_WEIGHT}, not {0}")]
+    MaxWeight(f32),
+}
+
+impl MapConfig {
+    /// Checks all fields.
+    ///
+    /// # Errors
+    /// [`MapError`] names the field and its value.
+    pub fn validate(&self) -> Result<(), MapError> {
+        for (name, value) in [("voxel_size_m", self.voxel_size_m), ("truncation_m", self.truncation_m)] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(MapError::Length { name, value });
+            }
+        }
+        if !(1.0..=64.0).contains(&(self.truncation_m / self.voxel_size_m + 1e-9)) {
+            return Err(MapError::Truncation {
+                truncation_m: self.truncation_m,
+                voxel_size_m: self.voxel_size_m,
+            });
+        }
+        if !(self.max_weight > 0.0 && self.max_weight <= MAX_WEIGHT) {
+            return Err(MapError::MaxWeight(self.max_weight));
+        }
+        Ok(())
+    }
+
+    /// μ/κ, the truncation in voxels.
+    pub fn truncation_vox(&self) -> f32 {
+        (self.truncation_m / self.voxel_size_m) as f32
+    }
+}
+
+/// One voxel: fixed-point sums of weights and of weighted distances. All zero: never observed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Voxel {
+    /// S_w·[`WEIGHT_SCALE`].
+    pub weight_sum: u32,
+    /// S_f·[`WEIGHT_SCALE`]; its magnitude never exceeds `weight_sum`.
+    pub distance_sum: i32,
+}
+
+impl Voxel {
+    /// W, the accumulated weight.
+    #[inline]
+    pub fn weight(self) -> f32 {
+        self.weight_sum as f32 * (1.0 / WEIGHT_SCALE as f32)
+    }
+
+    /// F in [−1, 1]: the distance over the truncation, positive in front of the surface. `None` if never observed.
+    #[inline]
+    pub fn distance(self) -> Option<f32> {
+        (self.weight_sum > 0).then(|| self.distance_sum as f32 / self.weight_sum as f32)
+    }
+
+    /// Limits the weight to `max_sum` (fixed point), keeping F.
+    #[inline]
+    fn limit(&mut self, max_sum: u32) {
+        if self.weight_sum > max_sum {
+            let scaled = i64::from(self.distance_sum) * i64::from(max_sum) / i64::from(self.weight_sum);
+            *self = Self {
+                weight_sum: max_sum,
+                distance_sum: scaled as i32,
+            };
+        }
+    }
+}
+
+/// 8×8×8 voxels, in the order of [`local_number`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Block {
+    /// The voxels.
+    pub voxels: [Voxel; BLOCK_VOXELS],
+}
+
+impl Block {
+    const EMPTY: Self = Self {
+        voxels: [Voxel {
+            weight_sum: 0,
+            distance_sum: 0,
+        }; BLOCK_VOXELS],
+    };
+}
+
+/// One part of the block table.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Shard {
+    slots: HashMap<BlockIndex, u32, FxBuildHasher>,
+    indices: Vec<BlockIndex>,
+    blocks: Vec<Block>,
+    /// The integration that touched each block last.
+    stamps: Vec<u32>,
+}
+
+impl Shard {
+    /// The slot of a block, which is made if it is not there.
+    #[inline]
+    pub(crate) fn slot_or_insert(&mut self, index: BlockIndex) -> u32 {
+        *self.slots.entry(index).or_insert_with(|| {
+            self.indices.push(index);
+            self.blocks.push(Block::EMPTY);
+            self.stamps.push(0);
+            (self.blocks.len() - 1) as u32
+        })
+    }
+
+    /// Notes that integration number `stamp` touched the block; true the first time.
+    #[inline]
+    pub(crate) fn touch(&mut self, slot: u32, stamp: u32) -> bool {
+        std::mem::replace(&mut self.stamps[slot as usize], stamp) != stamp
+    }
+
+    /// All blocks, by slot.
+    #[inline]
+    pub(crate) fn blocks_mut(&mut self) -> &mut [Block] {
+        &mut self.blocks
+    }
+
+    /// The index of the block in a slot.
+    #[inline]
+    pub(crate) fn index(&self, slot: u32) -> BlockIndex {
+        self.indices[slot as usize]
+    }
+
+    /// Limits the weights in one block.
+    pub(crate) fn limit_weights(&mut self, slot: u32, max_sum: u32) {
+        self.blocks[slot as usize]
+            .voxels
+            .iter_mut()
+            .for_each(|v| v.limit(max_sum));
+    }
+}
+
+/// A truncated signed distance field in voxel blocks.
+///
+/// ```
+/// use tsdfuse::map::{MapConfig, VoxelMap};
+/// let map = VoxelMap::new(MapConfig { voxel_size_m: 0.05, truncation_m: 0.20, ..Default::default() })?;
+/// assert_eq!(map.block_count(), 0);
+/// # Ok::<(), tsdfuse::map::MapError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct VoxelMap {
+    config: MapConfig,
+    pub(crate) shards: Vec<Shard>,
+    pub(crate) integrations: u32,
+}
+
+impl VoxelMap {
+    /// An empty map.
+    ///
+    /// # Errors
+    /// [`MapError`] if the configuration makes no sense.
+    pub fn new(config: MapConfig) -> Result<Self, MapError> {
+        config.validate()?;
+        Ok(Self {
+            config,
+            shards: vec![Shard::default(); SHARDS],
+            integrations: 0,
+        })
+    }
+
+    /// What the map was made with.
+    pub fn config(&self) -> &MapConfig {
+        &self.config
+    }
+
+    /// The voxel grid.
+    pub fn grid(&self) -> Grid {
+        Grid::new(self.config.voxel_size_m)
+    }
+
+    /// The block with this index, if any of its voxels was ever observed.
+    #[inline]
+    pub fn block(&self, index: BlockIndex) -> Option<&Block> {
+        let shard = &self.shards[shard_of(index)];
+        shard.slots.get(&index).map(|&slot| &shard.blocks[slot as usize])
+    }
+
+    /// The voxel with this index; the empty voxel where nothing was observed.
+    pub fn voxel(&self, voxel: IVec3) -> Voxel {
+        self.block(BlockIndex::of(voxel))
+            .map_or_else(Voxel::default, |b| b.voxels[local_number(voxel)])
+    }
+
+    /// The indices of all blocks, sorted.
+    pub fn block_indices(&self) -> Vec<BlockIndex> {
+        let mut all: Vec<_> = self.shards.iter().flat_map(|s| s.indices.iter().copied()).collect();
+        all.par_sort_unstable();
+        all
+    }
+
+    /// How many blocks hold observations.
+    pub fn block_count(&self) -> usize {
+        self.shards.iter().map(|s| s.blocks.len()).sum()
+    }
+
+    /// How many voxels were observed.
+    pub fn observed_voxel_count(&self) -> usize {
+        let observed = |b: &Block| b.voxels.iter().filter(|v| v.weight_sum > 0).count();
+        self.shards
+            .par_iter()
+            .map(|s| s.blocks.iter().map(observed).sum::<usize>())
+            .sum()
+    }
+
+    /// Bytes held by blocks and their table.
+    pub fn memory_bytes(&self) -> usize {
+        let shard = |s: &Shard| s.blocks.len() * size_of::<Block>() + s.slots.allocation_size() + s.blocks.len() * 16;
+        self.shards.iter().map(shard).sum()
+    }
+}
+
+impl PartialEq for VoxelMap {
+    /// The same configuration and the same voxels, bit for bit; the order in which blocks came does not matter.
+    fn eq(&self, other: &Self) -> bool {
+        let indices = self.block_indices();
+        self.config == other.config
+            && indices == other.block_indices()
+            && indices.par_iter().all(|&i| self.block(i) == other.block(i))
+    }
+}
+
+/// The part of the table that holds a block: the hash of voxel block hashing (5.1).
+#[inline]
+pub(crate) fn shard_of(BlockIndex(b): BlockIndex) -> usize {
+    let h = b.x.wrapping_mul(73_856_093) ^ b.y.wrapping_mul(19_349_669) ^ b.z.wrapping_mul(83_492_791);
+    h as usize % SHARDS
+}
+
+/// The fixed-point form of a weight limit.
+pub(crate) fn weight_limit(max_weight: f32) -> u32 {
+    ((f64::from(max_weight) * f64::from(WEIGHT_SCALE)).round() as u32).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn configurations_without_sense_are_refused() {
+        let with = |f: fn(&mut MapConfig)| {
+            let mut c = MapConfig::default();
+            f(&mut c);
+            VoxelMap::new(c).err().map(|e| e.to_string())
+        };
+        assert_eq!(with(|_| ()), None);
+        assert!(with(|c| c.voxel_size_m = 0.0).unwrap().contains("voxel_size_m"));
+        assert!(with(|c| c.truncation_m = f64::NAN).unwrap().contains("truncation_m"));
+        assert!(
+            with(|c| c.truncation_m = 0.01)
+                .unwrap()
+                .contains("between 1 and 64 voxels")
+        );
+        assert!(with(|c| c.max_weight = 1e9).unwrap().contains("max_weight"));
+    }
+
+    #[test]
+    fn limiting_the_weight_keeps_the_distance() {
+        let mut v = Voxel {
+            weight_sum: 3_000_000,
+            distance_sum: -1_500_000,
+        };
+        v.limit(1000);
+        assert_eq!(
+            v,
+            Voxel {
+                weight_sum: 1000,
+                distance_sum: -500
+            }
+        );
+        v.limit(2000);
+        assert_eq!(v.weight_sum, 1000);
+    }
+}
