@@ -19,13 +19,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::index::{BLOCK_VOXELS, BlockIndex, Grid, local_number};
 
-/// Fixed-point scale of weights and of weighted distances: an update of weight 1 adds 8192. A weight of 0.01 (a return at
-/// 100 m) still adds 82, and moves S_f in steps of 1/82 of the truncation.
-pub const WEIGHT_SCALE: u32 = 1 << 13;
+/// Fixed-point scale of weights and of weighted distances: an update of weight 1 adds 32 768. A weight of 0.01 (a return at
+/// 100 m) still adds 328, and moves S_f in steps of 1/328 of the truncation.
+pub const WEIGHT_SCALE: u32 = 1 << 15;
 
-/// The largest weight a voxel can hold: 131 072 observations of weight 1. What is added beyond keeps F and forgets the past
-/// as `max_weight` says.
-pub const MAX_WEIGHT: f32 = (1 << 17) as f32;
+/// The largest weight a voxel can hold: 32 768 observations of weight 1, or 800 000 at 25 m. What comes after is averaged as
+/// `max_weight` says: F stays a running mean, the weight stays.
+pub const MAX_WEIGHT: f32 = (1 << 15) as f32;
+
+const MAX_WEIGHT_SUM: u32 = (MAX_WEIGHT as u32) * WEIGHT_SCALE;
+// One update more fits both sums.
+const _: () = assert!(MAX_WEIGHT_SUM as u64 + WEIGHT_SCALE as u64 <= i32::MAX as u64);
 
 /// Parts of the block table.
 pub const SHARDS: usize = 64;
@@ -127,6 +131,17 @@ impl Voxel {
         (self.weight_sum > 0).then(|| self.distance_sum as f32 / self.weight_sum as f32)
     }
 
+    /// Adds one update, both in fixed point, |distance| ≤ weight ≤ [`WEIGHT_SCALE`]. Neither sum can overflow: a voxel that
+    /// holds [`MAX_WEIGHT`] is brought back to it at once.
+    #[inline]
+    pub(crate) fn add(&mut self, weight: u32, distance: i32) {
+        self.weight_sum += weight;
+        self.distance_sum += distance;
+        if self.weight_sum > MAX_WEIGHT_SUM {
+            self.limit(MAX_WEIGHT_SUM);
+        }
+    }
+
     /// Limits the weight to `max_sum` (fixed point), keeping F.
     #[inline]
     fn limit(&mut self, max_sum: u32) {
@@ -188,12 +203,6 @@ impl Shard {
     #[inline]
     pub(crate) fn blocks_mut(&mut self) -> &mut [Block] {
         &mut self.blocks
-    }
-
-    /// The index of the block in a slot.
-    #[inline]
-    pub(crate) fn index(&self, slot: u32) -> BlockIndex {
-        self.indices[slot as usize]
     }
 
     /// Limits the weights in one block.
@@ -327,6 +336,21 @@ mod tests {
                 .contains("between 1 and 64 voxels")
         );
         assert!(with(|c| c.max_weight = 1e9).unwrap().contains("max_weight"));
+    }
+
+    #[test]
+    fn observations_beyond_the_limit_keep_a_running_mean() {
+        let mut v = Voxel::default();
+        let (near, far) = (WEIGHT_SCALE as i32 / 4, WEIGHT_SCALE as i32 / 2);
+        for i in 0..300_000 {
+            v.add(WEIGHT_SCALE, if i % 2 == 0 { near } else { far });
+        }
+        assert_eq!(v.weight(), MAX_WEIGHT);
+        assert!((v.distance().unwrap() - 0.375).abs() < 1e-3, "{v:?}");
+        // A small weight still moves a full voxel.
+        let before = v.distance_sum;
+        (0..1000).for_each(|_| v.add(WEIGHT_SCALE / 100, -(WEIGHT_SCALE as i32) / 100));
+        assert!(v.distance_sum < before);
     }
 
     #[test]

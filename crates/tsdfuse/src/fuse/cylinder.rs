@@ -49,7 +49,7 @@ impl Cylinder {
     }
 
     /// Lowest and highest voxel of the cylinder's bounding box, relative to the centre's voxel.
-    pub(crate) fn bounds(&self) -> (IVec3, IVec3) {
+    fn bounds(&self) -> (IVec3, IVec3) {
         let across = (Vec3::ONE - self.axis * self.axis).max(Vec3::ZERO);
         let sqrt = Vec3::new(across.x.sqrt(), across.y.sqrt(), across.z.sqrt());
         let half = self.axis.abs() * self.half_length + sqrt * self.radius + SLACK;
@@ -60,6 +60,11 @@ impl Cylinder {
             IVec3::new(ceil(lowest.x), ceil(lowest.y), ceil(lowest.z)),
             IVec3::new(floor(highest.x), floor(highest.y), floor(highest.z)),
         )
+    }
+
+    /// The voxel with the lowest coordinates that the cylinder may hold.
+    pub(crate) fn lowest_voxel(&self) -> IVec3 {
+        self.center.voxel + self.bounds().0
     }
 
     /// Visits every voxel of the cylinder once.

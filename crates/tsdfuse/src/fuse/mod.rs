@@ -1,10 +1,11 @@
 //! Fusing scans into the map: one trait, one file per method, one engine underneath.
 //!
 //! A method decides, for each return of a scan, which voxels it touches, with what signed distance and what weight. All
-//! else is shared: [`placed`] puts returns into the world (undoing motion), [`cylinder`] walks the voxels about a line, and
-//! [`scatter`] finds blocks, combines updates and spreads the work over threads.
+//! else is shared: `placed` puts returns into the world (undoing motion), `cylinder` and `pierced` walk the voxels
+//! about or on a line, and `scatter` finds blocks, combines updates and spreads the work over threads.
 
 mod cylinder;
+mod pierced;
 mod placed;
 mod raycast;
 mod scatter;
@@ -13,7 +14,56 @@ use serde::{Deserialize, Serialize};
 
 pub use raycast::{Distance, Raycast, RaycastConfig};
 
-use crate::{index::BlockIndex, map::VoxelMap, scan::Scan, scan::ScanError};
+use crate::{index::BlockIndex, map::VoxelMap, scan::Scan, scan::ScanError, sensor::SensorModel};
+
+/// The methods, by name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// [`Raycast`].
+    #[default]
+    Raycast,
+}
+
+/// The options of all methods.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FuseConfig {
+    /// Options of [`Raycast`].
+    pub raycast: RaycastConfig,
+}
+
+impl Method {
+    /// All methods.
+    pub const ALL: &[Self] = &[Self::Raycast];
+
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Raycast => "raycast",
+        }
+    }
+
+    /// The method's integrator. `sensor` is the model of the sensor, where it is known.
+    pub fn build(self, config: &FuseConfig, _sensor: Option<&SensorModel>) -> Box<dyn Integrator> {
+        match self {
+            Self::Raycast => Box::new(Raycast::new(config.raycast)),
+        }
+    }
+}
+
+impl std::str::FromStr for Method {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let known = || Self::ALL.iter().map(|m| m.name()).collect::<Vec<_>>().join(", ");
+        Self::ALL
+            .iter()
+            .copied()
+            .find(|m| m.name() == name)
+            .ok_or_else(|| format!("no method {name}; there are {}", known()))
+    }
+}
 
 /// A method of fusing scans.
 pub trait Integrator: Send {
@@ -65,6 +115,14 @@ pub enum FuseError {
     /// The scan contradicts itself.
     #[error(transparent)]
     Scan(#[from] ScanError),
+    /// The method needs an organized scan, and neither the scan nor the sensor's model tells the laser of each return.
+    #[error("{scan}: {reason}")]
+    Unorganized {
+        /// The scan's name.
+        scan: String,
+        /// What is missing, and what the user can do.
+        reason: String,
+    },
     /// The sensor's position lies outside the grid or is not finite.
     #[error("{scan}: the sensor's position {position} lies outside the map's grid")]
     OutsideGrid {

@@ -1,7 +1,15 @@
-//! Raycasting (RC), thesis 5.3: every return updates the voxels about its ray, within the band around its end.
+//! Raycasting (RC), thesis 5.3: every return updates the voxels on its ray, within the band around its end.
 //!
-//! Which voxels: dist(v, ray) < √3·κ/2 (5.5)(5.6) and ‖v − p‖ ≤ μ. What distance: ±‖v − p‖/μ (5.7), signed by the side on
-//! which the voxel lies; or, as `projective`, the distance along the ray. What weight: min(1, 1/range) (5.8).
+//! | | `euclidean`: the thesis's form | `projective`: the form of the related work |
+//! |---|---|---|
+//! | which voxels | centre within √3·κ/2 of the ray (5.5)(5.6), within μ of p | those the ray passes through, within μ of p |
+//! | distance | ±‖v − p‖/μ, signed by the side of p (5.7) | (p − v)·r/μ, along the ray |
+//! | weight | min(1, 1/range) (5.8) | the same × how much the ray tells about this voxel (below) |
+//!
+//! The thesis's distance is never 0 off the ray, and its voxels behind the surface count as much as those in front, although
+//! nothing was seen there: from the other side of a thin wall they pull the surface out. The projective form weighs a voxel
+//! by its distance e from the ray, 1 − e²/(¾κ²), and less the deeper it lies behind the surface: fully down to 1.5 voxels,
+//! then falling as the square of what is left of the band (voxblox, Oleynikova et al. 2017, does so linearly).
 //!
 //! Strong where surfaces are hit head-on. Weak at grazing incidence: the distance along the ray overstates the distance to
 //! the surface by 1/cos of the incidence, and the band then covers little height (thesis 7.3).
@@ -13,19 +21,20 @@ use serde::{Deserialize, Serialize};
 use super::{
     FuseError, Integration, Integrator,
     cylinder::{Cylinder, VOXEL_RADIUS},
+    pierced::Segment,
     placed::Placed,
     scatter::{Scatter, Skip},
 };
 use crate::{map::VoxelMap, scan::Scan};
 
-/// What is stored for a voxel beside the ray.
+/// The two forms of raycasting.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Distance {
-    /// ±‖v − p‖/μ, the thesis's (5.7): never 0 off the ray.
+    /// The thesis's.
     #[default]
     Euclidean,
-    /// (p − v)·r/μ, the distance along the ray r.
+    /// The related work's.
     Projective,
 }
 
@@ -33,7 +42,7 @@ pub enum Distance {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RaycastConfig {
-    /// Which distance is stored.
+    /// Which form.
     pub distance: Distance,
 }
 
@@ -63,31 +72,61 @@ impl Integrator for Raycast {
 
         let truncation = map.config().truncation_vox();
         let placed = &self.placed;
-        let distance = self.config.distance;
-        let scattered = self.scatter.run(map, placed.len(), |i, lane| {
-            let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
-            let weight = (1.0 / ray.range_m).min(1.0); // (5.8)
-            let about = Cylinder {
-                center: ray.end,
-                axis: ray.direction,
-                radius: VOXEL_RADIUS,
-                half_length: truncation,
-            };
-            lane.cylinder(&about, weight, |v| {
-                if v.distance2 > truncation * truncation {
-                    return None;
-                }
-                Some(match distance {
-                    Distance::Euclidean => -v.along.signum() * v.distance2.sqrt() / truncation, // (5.7)
-                    Distance::Projective => -v.along / truncation,
-                })
-            })
-        });
+        let integration = match self.config.distance {
+            Distance::Euclidean => self.scatter.run(map, placed.len(), |i, lane| {
+                let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
+                let weight = (1.0 / ray.range_m).min(1.0); // (5.8)
+                let about = Cylinder {
+                    center: ray.end,
+                    axis: ray.direction,
+                    radius: VOXEL_RADIUS,
+                    half_length: truncation,
+                };
+                lane.approach(about.lowest_voxel());
+                about.for_each(|v| {
+                    if v.distance2 <= truncation * truncation {
+                        let f = -v.along.signum() * v.distance2.sqrt() / truncation; // (5.7)
+                        lane.update(v.voxel, f, weight);
+                    }
+                });
+                Ok(())
+            }),
+            Distance::Projective => self.scatter.run(map, placed.len(), |i, lane| {
+                let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
+                let weight = (1.0 / ray.range_m).min(1.0); // (5.8)
+                let on = Segment {
+                    center: ray.end,
+                    axis: ray.direction,
+                    half_length: truncation,
+                };
+                lane.approach(on.lowest_voxel());
+                on.for_each(|v| {
+                    let off_axis2 = v.distance2 - v.along * v.along;
+                    let beside = 1.0 - off_axis2 / (VOXEL_RADIUS * VOXEL_RADIUS);
+                    lane.update(
+                        v.voxel,
+                        -v.along / truncation,
+                        weight * beside * behind(v.along, truncation),
+                    );
+                });
+                Ok(())
+            }),
+        };
         Ok(Integration {
-            updated_blocks: scattered.updated_blocks,
-            fused_returns: scattered.fused,
-            skipped: scattered.skipped,
             prepare_secs,
+            ..integration
         })
     }
+}
+
+/// How deep behind the surface voxels still count fully, in voxels: enough for the noise of ranges to cancel.
+const FULL_DEPTH: f32 = 1.5;
+
+/// How much is known `depth` voxels behind the surface, where the band ends at `truncation` voxels.
+#[inline]
+fn behind(depth: f32, truncation: f32) -> f32 {
+    if depth <= FULL_DEPTH {
+        return 1.0;
+    }
+    ((truncation - depth) / (truncation - FULL_DEPTH)).powi(2)
 }

@@ -20,22 +20,14 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 use rustc_hash::FxBuildHasher;
 
-use super::{
-    Skipped,
-    cylinder::{Cylinder, Member, round},
-};
+use super::{Integration, Skipped, cylinder::round};
 use crate::{
     index::{BlockIndex, local_number},
-    map::{MAX_WEIGHT, SHARDS, Shard, VoxelMap, WEIGHT_SCALE, shard_of, weight_limit},
+    map::{SHARDS, Shard, VoxelMap, WEIGHT_SCALE, shard_of, weight_limit},
 };
 
 /// Pieces of a scan: enough to balance the load of many threads.
 const LANES: usize = 32;
-
-/// Items that are fused before weights are limited. A voxel holds at most [`MAX_WEIGHT`] then and each item adds at most one
-/// update of weight 1 to it, so that neither sum can overflow: (131 072 + 125 000) · 8192 < 2³¹.
-const ITEMS_PER_BATCH: usize = 125_000;
-const _: () = assert!((MAX_WEIGHT as u64 + ITEMS_PER_BATCH as u64) * (WEIGHT_SCALE as u64) < (1 << 31));
 
 /// Buffers of the engine, kept from scan to scan.
 #[derive(Debug)]
@@ -51,14 +43,6 @@ impl Default for Scatter {
     }
 }
 
-/// What one scan did to the map.
-#[derive(Debug, Default)]
-pub(crate) struct Scattered {
-    pub(crate) updated_blocks: Vec<BlockIndex>,
-    pub(crate) skipped: Skipped,
-    pub(crate) fused: u64,
-}
-
 impl Scatter {
     /// Lets each of `items` items write its updates, then adds them to the map.
     ///
@@ -68,44 +52,36 @@ impl Scatter {
         map: &mut VoxelMap,
         items: usize,
         method: impl Fn(usize, &mut Lane) -> Result<(), Skip> + Sync,
-    ) -> Scattered {
-        let mut scattered = Scattered::default();
+    ) -> Integration {
         map.integrations = map.integrations.wrapping_add(1).max(1);
         let (stamp, limit) = (map.integrations, weight_limit(map.config().max_weight));
-        let mut start = 0;
-        while start < items {
-            let batch = (items - start).min(ITEMS_PER_BATCH);
-            let last = start + batch == items;
-            // Weights must not pass the representable limit between batches; the user's own limit holds between scans.
-            let limit = if last { limit } else { weight_limit(MAX_WEIGHT) };
-            self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
-                lane.clear();
-                for i in start + batch * k / LANES..start + batch * (k + 1) / LANES {
-                    match method(i, lane) {
-                        Ok(()) => lane.fused += 1,
-                        Err(Skip::OutsideGrid) => lane.skipped.outside_grid += 1,
-                        Err(Skip::WithoutNormal) => lane.skipped.without_normal += 1,
-                        Err(Skip::WithoutWeight) => lane.skipped.without_weight += 1,
-                    }
+        self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
+            lane.clear();
+            for i in items * k / LANES..items * (k + 1) / LANES {
+                match method(i, lane) {
+                    Ok(()) => lane.fused += 1,
+                    Err(Skip::OutsideGrid) => lane.skipped.outside_grid += 1,
+                    Err(Skip::WithoutNormal) => lane.skipped.without_normal += 1,
+                    Err(Skip::WithoutWeight) => lane.skipped.without_weight += 1,
                 }
-            });
-            for lane in &self.lanes {
-                scattered.skipped += lane.skipped;
-                scattered.fused += lane.fused;
             }
-            let lanes = &self.lanes;
-            let touched: Vec<Vec<BlockIndex>> = map
-                .shards
-                .par_iter_mut()
-                .enumerate()
-                .map(|(s, shard)| add_to_shard(shard, lanes.iter().map(|lane| &lane.buckets[s]), stamp, limit))
-                .collect();
-            touched
-                .iter()
-                .for_each(|t| scattered.updated_blocks.extend_from_slice(t));
-            start += batch;
+        });
+        let lanes = &self.lanes;
+        let touched: Vec<Vec<BlockIndex>> = map
+            .shards
+            .par_iter_mut()
+            .enumerate()
+            .map(|(s, shard)| add_to_shard(shard, lanes.iter().map(|lane| &lane.buckets[s]), stamp, limit))
+            .collect();
+        let mut done = Integration {
+            updated_blocks: touched.concat(),
+            ..Default::default()
+        };
+        for lane in &self.lanes {
+            done.skipped += lane.skipped;
+            done.fused_returns += lane.fused;
         }
-        scattered
+        done
     }
 }
 
@@ -140,8 +116,7 @@ fn add_to_shard<'a>(
         for update in &bucket.updates {
             let slot = slots[update.block()];
             let voxel = &mut blocks[slot as usize].voxels[update.voxel()];
-            voxel.weight_sum += update.weight();
-            voxel.distance_sum += update.distance();
+            voxel.add(update.weight(), update.distance());
             if voxel.weight_sum > limit && heavy.last() != Some(&slot) {
                 heavy.push(slot);
             }
@@ -153,32 +128,34 @@ fn add_to_shard<'a>(
     touched
 }
 
-/// One update, packed: number of the block in its bucket (26 bits), voxel in the block (9), weight (14), weighted distance (15).
+/// One update, packed: number of the block in its bucket (22 bits), voxel in the block (9), weight (16), weighted distance (17).
+///
+/// 2²² blocks in one bucket would be 16 GiB of map touched by a 2048th part of a scan.
 #[derive(Clone, Copy, Debug)]
 struct Update(u64);
 
 impl Update {
-    /// `distance` in [−weight, weight], `weight` in 1..=8192.
+    /// `distance` in [−weight, weight], `weight` in 1..=[`WEIGHT_SCALE`].
     #[inline]
     fn new(block: u32, voxel: usize, weight: u32, distance: i32) -> Self {
         let distance = (distance + WEIGHT_SCALE as i32) as u64;
-        Self(u64::from(block) << 38 | (voxel as u64) << 29 | u64::from(weight) << 15 | distance)
+        Self(u64::from(block) << 42 | (voxel as u64) << 33 | u64::from(weight) << 17 | distance)
     }
     #[inline]
     fn block(self) -> usize {
-        (self.0 >> 38) as usize
+        (self.0 >> 42) as usize
     }
     #[inline]
     fn voxel(self) -> usize {
-        (self.0 >> 29) as usize & 511
+        (self.0 >> 33) as usize & 511
     }
     #[inline]
     fn weight(self) -> u32 {
-        (self.0 >> 15) as u32 & 0x3fff
+        (self.0 >> 17) as u32 & 0xffff
     }
     #[inline]
     fn distance(self) -> i32 {
-        (self.0 & 0x7fff) as i32 - WEIGHT_SCALE as i32
+        (self.0 & 0x1_ffff) as i32 - WEIGHT_SCALE as i32
     }
 }
 
@@ -246,31 +223,9 @@ impl Lane {
         (self.fused, self.skipped) = (0, Skipped::default());
     }
 
-    /// Writes an update for every voxel of a cylinder to which `value` gives a distance (over μ, clamped to ±1) and that
-    /// has the given weight.
+    /// Prepares for updates at and above `lowest_voxel`: keeps the addresses of the blocks from there on at hand.
     #[inline]
-    pub(crate) fn cylinder(
-        &mut self,
-        cylinder: &Cylinder,
-        weight: f32,
-        value: impl Fn(&Member) -> Option<f32>,
-    ) -> Result<(), Skip> {
-        let weight = round(weight.clamp(0.0, 1.0) * WEIGHT_SCALE as f32);
-        if weight == 0 {
-            return Err(Skip::WithoutWeight);
-        }
-        self.approach(cylinder.center.voxel + cylinder.bounds().0);
-        cylinder.for_each(|member| {
-            if let Some(f) = value(&member) {
-                self.update(member.voxel, f, weight);
-            }
-        });
-        Ok(())
-    }
-
-    /// Keeps the addresses of the blocks from the one of `lowest_voxel` up at hand.
-    #[inline]
-    fn approach(&mut self, lowest_voxel: IVec3) {
+    pub(crate) fn approach(&mut self, lowest_voxel: IVec3) {
         let corner = BlockIndex::of(lowest_voxel).0;
         if corner != self.near_corner {
             self.near_corner = corner;
@@ -278,12 +233,16 @@ impl Lane {
         }
     }
 
+    /// Writes one update: distance over μ (clamped to ±1) and weight (clamped to 0..=1; too little is no update).
     #[inline]
-    fn update(&mut self, voxel: IVec3, distance: f32, weight: i32) {
-        let address = self.address(BlockIndex::of(voxel));
-        let distance = round(distance.clamp(-1.0, 1.0) * weight as f32);
-        let update = Update::new(address.number(), local_number(voxel), weight as u32, distance);
-        self.buckets[address.shard()].updates.push(update);
+    pub(crate) fn update(&mut self, voxel: IVec3, distance: f32, weight: f32) {
+        let weight = round(weight.clamp(0.0, 1.0) * WEIGHT_SCALE as f32);
+        if weight > 0 {
+            let address = self.address(BlockIndex::of(voxel));
+            let distance = round(distance.clamp(-1.0, 1.0) * weight as f32);
+            let update = Update::new(address.number(), local_number(voxel), weight as u32, distance);
+            self.buckets[address.shard()].updates.push(update);
+        }
     }
 
     #[inline]

@@ -1,0 +1,127 @@
+//! The 256 cases of marching cubes, derived instead of typed in.
+//!
+//! ```text
+//!        6-------7         corner c sits at (c & 1, c >> 1 & 1, c >> 2 & 1)
+//!       /|      /|
+//!      4-------5 |         edge 4·axis + k runs along `axis` from the k-th corner (in order) whose bit `axis` is 0
+//!      | 2-----|-3
+//!      |/      |/          z  y
+//!      0-------1           |/
+//!                          +--x
+//! ```
+//!
+//! On each face of the cube, every run of negative corners is cut off by one segment; so the two cells at a face always draw
+//! the same segments, and the surface has no cracks. The segments of the six faces close to loops, which are cut into fans.
+
+use std::sync::LazyLock;
+
+/// The two corners of each edge, the lower first.
+pub(super) const EDGE_CORNERS: [[usize; 2]; 12] = [
+    [0, 1],
+    [2, 3],
+    [4, 5],
+    [6, 7],
+    [0, 2],
+    [1, 3],
+    [4, 6],
+    [5, 7],
+    [0, 4],
+    [1, 5],
+    [2, 6],
+    [3, 7],
+];
+
+/// The corners of each face, counter-clockwise seen from outside.
+const FACES: [[usize; 4]; 6] = [
+    [0, 4, 6, 2],
+    [1, 3, 7, 5],
+    [0, 1, 5, 4],
+    [2, 6, 7, 3],
+    [0, 2, 3, 1],
+    [4, 5, 7, 6],
+];
+
+/// For each set of negative corners (bit c for corner c), the triangles as triples of edges, counter-clockwise seen from the
+/// positive side.
+pub(super) static TRIANGLES: LazyLock<[Vec<[u8; 3]>; 256]> = LazyLock::new(|| std::array::from_fn(triangles));
+
+fn edge_between(a: usize, b: usize) -> usize {
+    EDGE_CORNERS
+        .iter()
+        .position(|&[x, y]| (x, y) == (a.min(b), a.max(b)))
+        .unwrap_or_default()
+}
+
+fn triangles(negative: usize) -> Vec<[u8; 3]> {
+    let is_negative = |corner: usize| negative >> corner & 1 == 1;
+    // The segment that follows each crossed edge on the way around the surface.
+    let mut next = [None; 12];
+    for face in FACES {
+        for start in 0..4 {
+            let (before, first) = (face[(start + 3) % 4], face[start]);
+            if is_negative(first) && !is_negative(before) {
+                let length = (1..4).take_while(|&k| is_negative(face[(start + k) % 4])).count();
+                let (last, after) = (face[(start + length) % 4], face[(start + length + 1) % 4]);
+                next[edge_between(before, first)] = Some(edge_between(last, after));
+            }
+        }
+    }
+    let mut triangles = Vec::new();
+    for first in 0..12 {
+        let mut polygon = Vec::new();
+        let mut edge = first;
+        while let Some(following) = next[edge].take() {
+            polygon.push(edge as u8);
+            edge = following;
+        }
+        triangles.extend((2..polygon.len()).map(|k| [polygon[0], polygon[k - 1], polygon[k]]));
+    }
+    triangles
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_crossed_edge_is_used_and_no_other() {
+        for (case, triangles) in TRIANGLES.iter().enumerate() {
+            for (edge, [a, b]) in EDGE_CORNERS.iter().enumerate() {
+                let crossed = (case >> a & 1) != (case >> b & 1);
+                assert_eq!(
+                    triangles.iter().flatten().any(|&e| e as usize == edge),
+                    crossed,
+                    "case {case} edge {edge}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn one_negative_corner_gives_one_triangle_facing_away_from_it() {
+        // Edges along x, y and z from corner 0: counter-clockwise seen from (1, 1, 1).
+        let t = TRIANGLES[1][0];
+        assert_eq!(TRIANGLES[1].len(), 1);
+        let start = t.iter().position(|&e| e == 0).unwrap();
+        assert_eq!([t[start], t[(start + 1) % 3], t[(start + 2) % 3]], [0, 4, 8]);
+    }
+
+    #[test]
+    fn borders_of_all_cases_lie_on_faces_and_run_once() {
+        for (case, triangles) in TRIANGLES.iter().enumerate() {
+            let mut directed: Vec<(u8, u8)> = triangles
+                .iter()
+                .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+                .collect();
+            let all = directed.clone();
+            directed.retain(|&(a, b)| !all.contains(&(b, a)));
+            for (a, b) in directed {
+                let corners = |e: u8| EDGE_CORNERS[e as usize];
+                let on_one_face = FACES
+                    .iter()
+                    .any(|f| corners(a).iter().chain(&corners(b)).all(|c| f.contains(c)));
+                assert!(on_one_face, "case {case}: the border {a} {b} crosses the cell");
+            }
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! Triangle meshes, and their extraction from the map by marching cubes.
+
+mod cube;
+mod extract;
+mod neighbourhood;
+
+use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
+
+pub use extract::{extract, extract_with};
+
+/// An indexed triangle mesh in world coordinates.
+///
+/// Triangles are counter-clockwise seen from free space (the sensor's side); normals point there too.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// Vertex positions, world, metres.
+    pub vertices: Vec<DVec3>,
+    /// Unit normals, one per vertex.
+    pub normals: Vec<Vec3>,
+    /// Three vertex numbers per triangle.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// What is extracted.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MeshConfig {
+    /// Voxels of less weight count as never observed.
+    pub min_weight: f32,
+}
+
+impl Default for MeshConfig {
+    fn default() -> Self {
+        Self { min_weight: 0.0 }
+    }
+}
+
+/// Why there is no mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MeshError {
+    /// Vertices are numbered with 32 bits.
+    #[error("the surface has {0} vertices, more than one mesh can number: extract it in parts")]
+    TooManyVertices(u64),
+}
+
+/// What a mesh is like as a surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Topology {
+    /// Edges with a triangle on one side only.
+    pub border_edges: usize,
+    /// Edges that more than two triangles share.
+    pub overused_edges: usize,
+    /// Edges whose two triangles run along them in the same direction: orientation flips there.
+    pub flipped_edges: usize,
+    /// Vertices in no triangle.
+    pub unused_vertices: usize,
+    /// Vertices at the position of another one.
+    pub duplicate_vertices: usize,
+    /// Triangles with a vertex twice.
+    pub degenerate_triangles: usize,
+}
+
+impl Topology {
+    /// Each edge between one or two triangles that agree in orientation, every vertex used and unique.
+    pub fn is_manifold(&self) -> bool {
+        Self {
+            border_edges: 0,
+            ..*self
+        } == Self::default()
+    }
+
+    /// Manifold without borders.
+    pub fn is_closed(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl Mesh {
+    /// Examines edges and vertices; costs a few sorts.
+    pub fn topology(&self) -> Topology {
+        let mut edges: Vec<(u32, u32, bool)> = self
+            .triangles
+            .iter()
+            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+            .map(|(a, b)| (a.min(b), a.max(b), a < b))
+            .collect();
+        edges.sort_unstable();
+        let mut topology = Topology::default();
+        for edge in edges.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+            match edge {
+                [_] => topology.border_edges += 1,
+                [a, b] => topology.flipped_edges += usize::from(a.2 == b.2),
+                _ => topology.overused_edges += 1,
+            }
+        }
+        let mut used = vec![false; self.vertices.len()];
+        self.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
+        topology.unused_vertices = used.iter().filter(|u| !**u).count();
+        topology.degenerate_triangles = self
+            .triangles
+            .iter()
+            .filter(|[a, b, c]| a == b || b == c || c == a)
+            .count();
+        let mut positions: Vec<[u64; 3]> = self.vertices.iter().map(|v| v.to_array().map(f64::to_bits)).collect();
+        positions.sort_unstable();
+        topology.duplicate_vertices = positions.windows(2).filter(|w| w[0] == w[1]).count();
+        topology
+    }
+}
