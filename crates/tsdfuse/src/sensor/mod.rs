@@ -3,10 +3,20 @@
 use serde::{Deserialize, Serialize};
 
 pub mod approx;
+mod guess;
+mod image;
+mod order;
 mod projection;
+mod rings;
 mod tables;
+#[cfg(test)]
+pub(crate) mod testing;
 
+pub use guess::guess;
+pub use image::{NONE, ScanImage};
+pub use order::{OrderedRings, rings_by_order};
 pub use projection::{Pixel, Projection};
+pub use rings::{NO_RING, RingRecovery, RingSource, recover_rings, rings_of, sort_rings};
 pub use tables::{model, names};
 
 /// A rotating LiDAR: its beams, how finely it samples a turn, and which ranges it measures.
