@@ -1,7 +1,29 @@
 //! Readers of LiDAR logs and writers of meshes.
+//!
+//! [`open`] recognises what lies at a path and gives a [`Dataset`]: scans with poses, read ahead in the background.
+//! [`mesh::write`] writes what was made of them.
 
+pub mod atomic;
+#[doc(hidden)]
+pub mod bin;
+#[doc(hidden)]
+pub mod calib;
+mod cloud;
 pub mod dataset;
 pub mod error;
+mod files;
+pub mod folder;
+pub mod kitti;
+pub mod mesh;
+pub mod plain;
+pub mod ply;
+pub mod poses;
+pub mod read_ahead;
+mod text;
+#[doc(hidden)]
+pub mod times;
 
-pub use dataset::{OpenOptions, ScanRef, Source};
+pub use cloud::Cloud;
+pub use dataset::{Dataset, OpenOptions, ScanRef, Source, open, open_with};
 pub use error::{Error, Result};
+pub use read_ahead::{ReadAhead, ReadScan};

@@ -1,1 +1,39 @@
-//! Simulator.
+//! Simulated LiDAR sequences in analytic scenes whose exact signed distance is known.
+//!
+//! A [`Scene`] is a union of [`Primitive`]s. It answers three questions exactly: how far is the surface
+//! ([`Scene::signed_distance`]), what does a ray hit ([`Scene::cast`]), and what does the true mesh look like
+//! ([`Scene::mesh`]). A [`Simulator`] moves a rotating sensor through it along a [`path`] and yields
+//! [`tsdfuse::Scan`]s with the sensor's errors ([`NoiseModel`]).
+//!
+//! All lengths are metres, angles radians; z points up, and the sensor's x axis forward.
+//!
+//! ```
+//! use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
+//!
+//! let scene = scene::by_name("sphere", 0).unwrap();
+//! let sensor = tsdfuse::sensor::model("vlp16").unwrap();
+//! let path = path::by_name("orbit", &scene, 3).unwrap();
+//! let config = SimulatorConfig { noise: NoiseModel::none(), ..Default::default() };
+//! let simulator = Simulator::new(scene, sensor, path, config).unwrap();
+//! for scan in simulator.scans() {
+//!     for point in &scan.points {
+//!         let point_in_world = scan.pose.transform_point(point.as_dvec3());
+//!         assert!(simulator.scene().signed_distance(point_in_world).abs() < 1e-5);
+//!     }
+//! }
+//! ```
+
+mod bvh;
+mod lidar;
+mod noise;
+mod objects;
+pub mod path;
+mod primitive;
+pub mod scene;
+mod scenes;
+
+pub use lidar::{SimulationError, Simulator, SimulatorConfig};
+pub use noise::NoiseModel;
+pub use primitive::{Primitive, Terrain};
+pub use scene::{Hit, Scene};
+pub use tsdfuse::Pose;

@@ -2,8 +2,21 @@
 
 use serde::{Deserialize, Serialize};
 
+pub mod approx;
+mod guess;
+mod image;
+mod order;
+mod projection;
+mod rings;
 mod tables;
+#[cfg(test)]
+pub(crate) mod testing;
 
+pub use guess::guess;
+pub use image::{NONE, ScanImage};
+pub use order::{OrderedRings, rings_by_order};
+pub use projection::{Pixel, Projection};
+pub use rings::{NO_RING, RingRecovery, RingSource, recover_rings, rings_of, sort_rings};
 pub use tables::{model, names};
 
 /// A rotating LiDAR: its beams, how finely it samples a turn, and which ranges it measures.
@@ -64,10 +77,10 @@ pub enum SensorError {
 }
 
 /// More beams than any sensor has; also bounds the memory of an organized image.
-pub const MAX_BEAMS: usize = 4096;
+pub const MAX_BEAMS: usize = 1024;
 
 /// More firings in a turn than any sensor makes; also bounds the memory of an organized image.
-pub const MAX_COLUMNS: u32 = 65_536;
+pub const MAX_COLUMNS: u32 = 16_384;
 
 impl SensorModel {
     /// A model from a list of beam elevations in degrees, in any order.
@@ -159,7 +172,7 @@ mod tests {
             built.unwrap_err().to_string()
         };
         let ranges = (0.5, 50.0);
-        assert_eq!(build(&[], 10, ranges), "sensor x: 0 beams; 1 to 4096 are possible");
+        assert_eq!(build(&[], 10, ranges), "sensor x: 0 beams; 1 to 1024 are possible");
         assert!(build(&[1.0, 1.0], 10, ranges).contains("elevation 1 is 1 degrees"));
         for bad in [90.0, -90.0, f32::NAN, f32::INFINITY] {
             assert!(build(&[bad], 10, ranges).contains("elevation 0"), "{bad}");

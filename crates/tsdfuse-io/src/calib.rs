@@ -1,0 +1,54 @@
+//! KITTI's `calib.txt`: how the camera, whose poses KITTI gives, sits relative to the laser scanner.
+
+use std::path::Path;
+
+use tsdfuse::Pose;
+
+use crate::error::Result;
+use crate::{files, poses, text};
+
+/// `camera_from_velodyne`, if the folder has a `calib.txt` with a line `Tr`.
+pub(crate) fn in_folder(folder: &Path) -> Result<Option<Pose>> {
+    let path = folder.join("calib.txt");
+    if !path.is_file() {
+        return Ok(None);
+    }
+    parse(&path, &files::read(&path)?, "Tr")
+}
+
+/// Parses the transform of the line `name: 12 numbers`, if there is that line; `path` is for messages.
+///
+/// # Errors
+/// Names the file, the line and what is wrong with the numbers.
+pub fn parse(path: &Path, bytes: &[u8], name: &str) -> Result<Option<Pose>> {
+    for mut line in text::lines(path, bytes)? {
+        if let Some(numbers) = line.text.strip_prefix(name).and_then(|rest| rest.strip_prefix(':')) {
+            line.text = numbers;
+            return poses::matrix(&line, &line.numbers()?).map(Some);
+        }
+    }
+    Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_line_is_found_and_its_numbers_are_checked() {
+        let of = |text: &str| parse(Path::new("calib.txt"), text.as_bytes(), "Tr").map_err(|e| e.to_string());
+        let tr = "Tr: 0 -1 0 1 0 0 -1 2 1 0 0 3";
+        let pose = of(&format!("P0: 1 2 3\nTrx: 7\n{tr}\n")).unwrap().unwrap();
+        assert_eq!(pose.translation.to_array(), [1.0, 2.0, 3.0]);
+        assert_eq!(of("P0: 1 2 3\n"), Ok(None));
+        assert_eq!(
+            of("P0: 1\nTr: 1 2 3\n").unwrap_err(),
+            "calib.txt: line 2: 3 numbers where a pose has 12"
+        );
+        assert!(
+            of("Tr: 9 0 0 0 0 9 0 0 0 0 9 0")
+                .unwrap_err()
+                .contains("line 1: the pose is not rigid")
+        );
+    }
+}

@@ -1,0 +1,332 @@
+//! A folder with one file a scan: what all such formats share.
+//!
+//! Beside the scans' own folder may lie
+//!
+//! - `times.txt` or `timestamps.txt`: when each scan was taken, seconds or date and time, one line a scan,
+//! - `rings/` with one `.u16` a scan: the laser of each point, little-endian `u16`,
+//! - `times/` with one `.f32` a scan: seconds of each point after the scan's pose, little-endian `f32`,
+//! - `motion.txt`: for each scan a line with a second pose of the sensor, so that the poses of single returns are known:
+//!   the seconds from the scan's pose to that pose and its 12 numbers as in `poses.txt`, or `-` for none,
+//! - `sensor.toml`: the sensor's model.
+//!
+//! Lines go to scans as poses do (see [`poses`]). Where returns have times but there is no `motion.txt`, the sensor moves
+//! through the trajectory's pose at the time of the outermost return, if poses have times of their own (TUM); otherwise
+//! through the pose of the next scan, or of the one before if the next is farther away than [`MAX_STEP_SECS`].
+
+use std::path::{Path, PathBuf};
+
+use tsdfuse::glam::Vec3;
+use tsdfuse::scan::Motion;
+use tsdfuse::{Scan, SensorModel};
+
+use crate::cloud::{self, Cloud};
+use crate::dataset::{OpenOptions, ScanRef, Source};
+use crate::error::{Error, Result};
+use crate::files::{self, ScanFile};
+use crate::poses::{self, Poses, Trajectory};
+use crate::{bin, calib, text, times};
+
+/// The longest time between two scans over which the sensor is taken to move steadily, seconds.
+pub const MAX_STEP_SECS: f64 = 1.0;
+
+/// Scans of one file each.
+pub(crate) struct ScanFolder {
+    format: &'static str,
+    scans: Vec<ScanRef>,
+    entries: Vec<Entry>,
+    trajectory: Option<Trajectory>,
+    sensor: Option<SensorModel>,
+    notes: Vec<String>,
+}
+
+/// The files of one scan, and how the sensor moves during it where `motion.txt` says so.
+struct Entry {
+    points: PathBuf,
+    rings: Option<PathBuf>,
+    times: Option<PathBuf>,
+    motion: Option<Motion>,
+}
+
+impl ScanFolder {
+    /// Puts scans and poses together. `poses_path` is where the poses come from.
+    pub(crate) fn new(
+        format: &'static str,
+        root: &Path,
+        files: &[ScanFile],
+        (poses_path, poses): (PathBuf, Poses),
+        options: &OpenOptions,
+    ) -> Result<Self> {
+        let placed = poses::place(&poses_path, &poses, files, times::of_scans(root, files)?)?;
+        let scans: Vec<_> = files
+            .iter()
+            .zip(placed)
+            .map(|(file, (pose, timestamp_secs))| ScanRef {
+                name: file.name.clone(),
+                timestamp_secs,
+                pose,
+            })
+            .collect();
+        for pair in scans.windows(2) {
+            if let [a, b] = pair
+                && let (Some(before), Some(secs)) = (a.timestamp_secs, b.timestamp_secs)
+                && before >= secs
+            {
+                let reason = format!(
+                    "{} at {secs:.6} s is not later than the scan before, {}",
+                    b.name, a.name
+                );
+                return Err(Error::dataset(root, reason));
+            }
+        }
+        let motions = motions(&root.join("motion.txt"), files)?;
+        let mut folder = Self {
+            format,
+            scans,
+            entries: files
+                .iter()
+                .zip(motions)
+                .map(|(file, motion)| Entry::new(root, file, motion))
+                .collect(),
+            trajectory: match poses {
+                Poses::Timed(trajectory) => Some(trajectory),
+                Poses::Listed(_) => None,
+            },
+            sensor: sensor(root, options)?,
+            notes: Vec::new(),
+        };
+        folder.note_gaps();
+        Ok(folder)
+    }
+
+    /// The model for logs that come from one kind of sensor only.
+    pub(crate) fn with_usual_sensor(mut self, name: &str) -> Self {
+        self.sensor = self.sensor.or_else(|| tsdfuse::sensor::model(name));
+        self
+    }
+
+    /// Adds a sentence for the user.
+    pub(crate) fn note(&mut self, sentence: String) {
+        self.notes.push(sentence);
+    }
+
+    fn note_gaps(&mut self) {
+        let n = self.entries.len();
+        let rings = self.entries.iter().filter(|e| e.rings.is_some()).count();
+        let times = self.entries.iter().filter(|e| e.times.is_some()).count();
+        for (kind, count) in [("rings", rings), ("times", times)] {
+            if count > 0 && count < n {
+                self.note(format!("only {count} of {n} scans have a file in {kind}/"));
+            }
+        }
+        let still = (0..n)
+            .filter(|&i| self.entries[i].times.is_some() && self.motion(i, &[]).is_none())
+            .count();
+        if still > 0 {
+            self.note(format!(
+                "{still} scans have times of their points but no motion: there is no motion.txt, and no scan within {MAX_STEP_SECS} s"
+            ));
+        }
+    }
+
+    /// How the sensor moves while scan `index` measures points at `times`, see the [module](self).
+    fn motion(&self, index: usize, times: &[f32]) -> Option<Motion> {
+        if let Some(motion) = self.entries[index].motion {
+            return Some(motion);
+        }
+        let now = self.scans[index].timestamp_secs?;
+        if let Some(trajectory) = &self.trajectory {
+            let outermost = times
+                .iter()
+                .copied()
+                .filter(|t| t.is_finite())
+                .max_by(|a, b| a.abs().total_cmp(&b.abs()));
+            let secs = f64::from(outermost.unwrap_or(0.0));
+            if secs != 0.0
+                && let Ok(pose) = trajectory.at(now + secs)
+            {
+                return Some(Motion { pose, secs });
+            }
+        }
+        let neighbours = [index.checked_add(1), index.checked_sub(1)];
+        let motions = neighbours.into_iter().flatten().filter_map(|i| {
+            let scan = self.scans.get(i)?;
+            let secs = scan.timestamp_secs? - now;
+            Some(Motion { pose: scan.pose, secs })
+        });
+        motions.into_iter().find(|m| m.secs.abs() <= MAX_STEP_SECS)
+    }
+}
+
+impl Entry {
+    fn new(root: &Path, file: &ScanFile, motion: Option<Motion>) -> Self {
+        let beside = |folder: &str, extension: &str| {
+            let path = root.join(folder).join(&file.name).with_extension(extension);
+            path.is_file().then_some(path)
+        };
+        Self {
+            points: file.path.clone(),
+            rings: beside("rings", "u16"),
+            times: beside("times", "f32"),
+            motion,
+        }
+    }
+}
+
+impl Source for ScanFolder {
+    fn format(&self) -> &'static str {
+        self.format
+    }
+
+    fn scans(&self) -> &[ScanRef] {
+        &self.scans
+    }
+
+    fn read(&self, index: usize) -> Result<Scan> {
+        let (
+            ScanRef {
+                name,
+                timestamp_secs,
+                pose,
+            },
+            entry,
+        ) = (&self.scans[index], &self.entries[index]);
+        let Cloud {
+            mut points,
+            mut rings,
+            secs,
+            intensities,
+            ..
+        } = read_cloud(&entry.points)?;
+        if let Some(path) = &entry.rings {
+            rings = Some(bin::column(
+                path,
+                &files::read(path)?,
+                points.len(),
+                u16::from_le_bytes,
+            )?);
+        }
+        let times = match (&entry.times, secs) {
+            (Some(path), _) => Some(cloud::checked_offsets(
+                path,
+                bin::column(path, &files::read(path)?, points.len(), f32::from_le_bytes)?,
+            )?),
+            (None, Some(secs)) => Some(cloud::offsets(&entry.points, &secs, *timestamp_secs)?),
+            (None, None) => None,
+        };
+        // A return without a time cannot be placed.
+        for (point, _) in points
+            .iter_mut()
+            .zip(times.iter().flatten())
+            .filter(|(_, t)| t.is_nan())
+        {
+            *point = Vec3::NAN;
+        }
+        Ok(Scan {
+            name: name.clone(),
+            timestamp_secs: *timestamp_secs,
+            motion: times.as_ref().and_then(|times| self.motion(index, times)),
+            points,
+            rings,
+            times,
+            intensities,
+            pose: *pose,
+            ..Default::default()
+        })
+    }
+
+    fn sensor(&self) -> Option<SensorModel> {
+        self.sensor.clone()
+    }
+
+    fn notes(&self) -> &[String] {
+        &self.notes
+    }
+}
+
+/// Reads a file of points; its extension says how.
+pub(crate) fn read_cloud(path: &Path) -> Result<Cloud> {
+    let bytes = files::read(path)?;
+    match path
+        .extension()
+        .and_then(|e| e.to_str())
+        .unwrap_or_default()
+        .to_ascii_lowercase()
+        .as_str()
+    {
+        "bin" => bin::parse(path, &bytes),
+        other => Err(Error::format(path, format!("is no file of points: .{other}"))),
+    }
+}
+
+/// The motion of each scan, where the file is there.
+fn motions(path: &Path, files: &[ScanFile]) -> Result<Vec<Option<Motion>>> {
+    if !path.is_file() {
+        return Ok(vec![None; files.len()]);
+    }
+    let bytes = files::read(path)?;
+    let rows: Result<Vec<_>> = text::lines(path, &bytes)?
+        .map(|line| {
+            if line.text == "-" {
+                return Ok(None);
+            }
+            match line.numbers()?.split_first() {
+                Some((&secs, pose)) if secs.is_finite() && secs != 0.0 => Ok(Some(Motion {
+                    pose: poses::matrix(&line, pose)?,
+                    secs,
+                })),
+                _ => Err(line.error("the seconds to the second pose are zero or not finite")),
+            }
+        })
+        .collect();
+    poses::rows_of_scans(path, "lines", &rows?, files)
+}
+
+/// The sensor's model: the one asked for, or that of `sensor.toml`.
+fn sensor(root: &Path, options: &OpenOptions) -> Result<Option<SensorModel>> {
+    if let Some(name) = &options.sensor {
+        let model = tsdfuse::sensor::model(name).ok_or_else(|| {
+            let known = tsdfuse::sensor::names().join(", ");
+            Error::dataset(root, format!("there is no sensor model {name:?}; known are {known}"))
+        })?;
+        return Ok(Some(model));
+    }
+    let path = root.join("sensor.toml");
+    path.is_file()
+        .then(|| parse_sensor(&path, &files::read(&path)?))
+        .transpose()
+}
+
+/// Parses `sensor.toml`; `path` is for messages.
+///
+/// # Errors
+/// Names the file and what no sensor can have.
+pub fn parse_sensor(path: &Path, bytes: &[u8]) -> Result<SensorModel> {
+    let text = std::str::from_utf8(bytes).map_err(|e| Error::format(path, format!("is not text: {e}")))?;
+    let model: SensorModel = toml::from_str(text).map_err(|e| {
+        let line = text
+            .get(..e.span().map_or(0, |s| s.start))
+            .map_or(1, |before| before.matches('\n').count() + 1);
+        Error::format(path, format!("line {line}: {}", e.message().replace('\n', " ")))
+    })?;
+    model.check().map_err(|e| Error::format(path, e.to_string()))?;
+    Ok(model)
+}
+
+/// The poses asked for, or those found in the folder, or those `elsewhere`, with the path they come from.
+///
+/// They are `world_from_sensor`, unless a `calib.txt` with a `Tr` lies in the folder or beside the pose file: then they
+/// are the camera's, P, and `world_from_sensor = Tr⁻¹ · P · Tr`.
+pub(crate) fn poses(root: &Path, options: &OpenOptions, elsewhere: &Path) -> Result<(PathBuf, Poses)> {
+    let found = match &options.poses {
+        Some(path) => Some(path.clone()),
+        None => poses::find(root)?.or_else(|| elsewhere.is_file().then(|| elsewhere.to_owned())),
+    };
+    let path = found.ok_or_else(|| Error::dataset(root, "holds scans but no poses.txt or other pose file"))?;
+    let mut poses = poses::read(&path)?;
+    let beside = || calib::in_folder(path.parent().unwrap_or(Path::new("")));
+    if let Some(camera_from_sensor) = calib::in_folder(root)?.map_or_else(beside, |tr| Ok(Some(tr)))? {
+        let sensor_from_camera = camera_from_sensor.inverse();
+        poses.map(|pose| sensor_from_camera * *pose * camera_from_sensor);
+    }
+    Ok((path, poses))
+}

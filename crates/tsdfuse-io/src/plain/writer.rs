@@ -1,0 +1,152 @@
+//! Writing the plain folder.
+
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use tsdfuse::{Pose, Scan, SensorModel};
+
+use crate::error::{Error, Result};
+
+/// Writes scans as a plain folder, one after another; see the [module](super) for the files.
+///
+/// Points, rings, times and intensities come back bit for bit, poses up to rounding (1e-15). A scan without intensities
+/// gets zeros.
+#[derive(Debug)]
+pub struct Writer {
+    folder: PathBuf,
+    scans: usize,
+    poses: BufWriter<File>,
+    /// `times.txt`; `None` if the scans have no times.
+    secs: Option<BufWriter<File>>,
+    motion: String,
+    any_motion: bool,
+}
+
+impl Writer {
+    /// Begins a data set in `folder`, which is made if it does not exist and must hold none yet.
+    ///
+    /// # Errors
+    /// Names the folder and what the system, or the folder's content, has against it.
+    pub fn create(folder: impl AsRef<Path>) -> Result<Self> {
+        let folder = folder.as_ref();
+        // What is left of another data set would be read as part of this one.
+        const OURS: [&str; 8] = [
+            "velodyne",
+            "rings",
+            "times",
+            "poses.txt",
+            "times.txt",
+            "motion.txt",
+            "sensor.toml",
+            "calib.txt",
+        ];
+        if let Some(old) = OURS.iter().map(|name| folder.join(name)).find(|path| path.exists()) {
+            return Err(Error::dataset(
+                old,
+                "exists already; scans are written into a new folder",
+            ));
+        }
+        let scans = folder.join("velodyne");
+        fs::create_dir_all(&scans).map_err(Error::io(&scans))?;
+        Ok(Self {
+            folder: folder.to_owned(),
+            scans: 0,
+            poses: create(&folder.join("poses.txt"))?,
+            secs: None,
+            motion: String::new(),
+            any_motion: false,
+        })
+    }
+
+    /// Writes the sensor's model.
+    ///
+    /// # Errors
+    /// Names the file and what the system says.
+    pub fn write_sensor(&mut self, sensor: &SensorModel) -> Result<()> {
+        let path = self.folder.join("sensor.toml");
+        let text = toml::to_string(sensor).map_err(|e| Error::format(&path, e.to_string()))?;
+        fs::write(&path, text).map_err(Error::io(&path))
+    }
+
+    /// Writes the next scan. Either all scans have a time or none.
+    ///
+    /// # Errors
+    /// Names the file and what the system says, or the scan and what is wrong with it.
+    pub fn write_scan(&mut self, scan: &Scan) -> Result<()> {
+        scan.check().map_err(|e| Error::dataset(&self.folder, e.to_string()))?;
+        let intensities = scan.intensities.iter().flatten().copied().chain(std::iter::repeat(0.0));
+        let points = scan.points.iter().zip(intensities);
+        self.column(
+            "velodyne",
+            "bin",
+            points.flat_map(|(p, i)| [p.x, p.y, p.z, i].map(f32::to_le_bytes)),
+        )?;
+        if let Some(rings) = &scan.rings {
+            self.column("rings", "u16", rings.iter().map(|r| r.to_le_bytes()))?;
+        }
+        if let Some(times) = &scan.times {
+            self.column("times", "f32", times.iter().map(|t| t.to_le_bytes()))?;
+        }
+        self.write_time(scan)?;
+        let path = self.folder.join("poses.txt");
+        writeln!(self.poses, "{}", numbers(&scan.pose)).map_err(Error::io(path))?;
+        self.motion += &match &scan.motion {
+            Some(m) => format!("{} {}\n", m.secs, numbers(&m.pose)),
+            None => "-\n".to_owned(),
+        };
+        self.any_motion |= scan.motion.is_some();
+        self.scans += 1;
+        Ok(())
+    }
+
+    /// Finishes the data set. Without this call the last poses may be missing.
+    ///
+    /// # Errors
+    /// Names the file and what the system says.
+    pub fn finish(mut self) -> Result<()> {
+        self.poses.flush().map_err(Error::io(self.folder.join("poses.txt")))?;
+        if let Some(secs) = &mut self.secs {
+            secs.flush().map_err(Error::io(self.folder.join("times.txt")))?;
+        }
+        let path = self.folder.join("motion.txt");
+        if self.any_motion {
+            fs::write(&path, self.motion).map_err(Error::io(&path))?;
+        }
+        Ok(())
+    }
+
+    fn column<const N: usize>(&self, kind: &str, extension: &str, values: impl Iterator<Item = [u8; N]>) -> Result<()> {
+        let folder = self.folder.join(kind);
+        fs::create_dir_all(&folder).map_err(Error::io(&folder))?;
+        let path = folder.join(format!("{:06}.{extension}", self.scans));
+        let bytes: Vec<u8> = values.flatten().collect();
+        fs::write(&path, bytes).map_err(Error::io(&path))
+    }
+
+    fn write_time(&mut self, scan: &Scan) -> Result<()> {
+        let path = self.folder.join("times.txt");
+        match (scan.timestamp_secs, &mut self.secs) {
+            (None, None) => return Ok(()),
+            (Some(_), None) if self.scans == 0 => self.secs = Some(create(&path)?),
+            (Some(_), Some(_)) => {}
+            (None, Some(_)) | (Some(_), None) => {
+                let reason = format!("either all scans have a time or none, but not {}", scan.name);
+                return Err(Error::dataset(&self.folder, reason));
+            }
+        }
+        match (&mut self.secs, scan.timestamp_secs) {
+            (Some(file), Some(secs)) => writeln!(file, "{secs}").map_err(Error::io(path)),
+            _ => Ok(()),
+        }
+    }
+}
+
+fn create(path: &Path) -> Result<BufWriter<File>> {
+    File::create(path).map(BufWriter::new).map_err(Error::io(path))
+}
+
+/// The 12 numbers of a pose, each with as many digits as it takes to read the same number.
+fn numbers(pose: &Pose) -> String {
+    pose.to_row_major_3x4().map(|v| v.to_string()).join(" ")
+}

@@ -1,0 +1,155 @@
+//! Writing a mesh as binary little-endian PLY.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use tsdfuse::Mesh;
+
+use crate::error::Result;
+
+/// Below this, coordinates are stored as `float`, which moves them by no more than 0.03 mm; above as `double`.
+const FLOAT_LIMIT_M: f64 = 1000.0;
+
+/// Writes a mesh to a file, which appears when it is complete.
+///
+/// # Errors
+/// Names the file and what the system says.
+///
+/// # Examples
+/// ```
+/// # let dir = tempfile::tempdir().unwrap();
+/// let mesh = tsdfuse::Mesh::default();
+/// tsdfuse_io::ply::write(dir.path().join("street.ply"), &mesh)?;
+/// # Ok::<(), tsdfuse_io::Error>(())
+/// ```
+pub fn write(path: impl AsRef<Path>, mesh: &Mesh) -> Result<()> {
+    crate::atomic::write(path, |out| write_to(out, mesh))
+}
+
+/// Writes a mesh: `x y z`, with normals `nx ny nz` if it has them, and `vertex_indices` of the triangles.
+///
+/// # Errors
+/// What the system says; `InvalidInput` if there are normals for some vertices only.
+pub fn write_to(mut out: impl Write, mesh: &Mesh) -> io::Result<()> {
+    let double = mesh.vertices.iter().any(|v| v.abs().max_element() >= FLOAT_LIMIT_M);
+    let coordinate = if double { "double" } else { "float" };
+    let normals = has_normals(mesh)?;
+    write!(out, "ply\nformat binary_little_endian 1.0\ncomment tsdfuse, metres\n")?;
+    writeln!(out, "element vertex {}", mesh.vertices.len())?;
+    for axis in ["x", "y", "z"] {
+        writeln!(out, "property {coordinate} {axis}")?;
+    }
+    for axis in ["nx", "ny", "nz"].iter().filter(|_| normals) {
+        writeln!(out, "property float {axis}")?;
+    }
+    writeln!(out, "element face {}", mesh.triangles.len())?;
+    write!(out, "property list uchar int vertex_indices\nend_header\n")?;
+
+    in_chunks(&mut out, mesh.vertices.len(), |i, bytes| {
+        let v = mesh.vertices[i];
+        if double {
+            v.to_array()
+                .iter()
+                .for_each(|c| bytes.extend_from_slice(&c.to_le_bytes()));
+        } else {
+            v.as_vec3()
+                .to_array()
+                .iter()
+                .for_each(|c| bytes.extend_from_slice(&c.to_le_bytes()));
+        }
+        if normals {
+            mesh.normals[i]
+                .to_array()
+                .iter()
+                .for_each(|c| bytes.extend_from_slice(&c.to_le_bytes()));
+        }
+    })?;
+    in_chunks(&mut out, mesh.triangles.len(), |i, bytes| {
+        bytes.push(3);
+        mesh.triangles[i]
+            .iter()
+            .for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+    })
+}
+
+/// Whether there is a normal for each vertex.
+pub(crate) fn has_normals(mesh: &Mesh) -> io::Result<bool> {
+    let (vertices, normals) = (mesh.vertices.len(), mesh.normals.len());
+    if normals != 0 && normals != vertices {
+        let reason = format!("the mesh has {vertices} vertices but {normals} normals");
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, reason));
+    }
+    Ok(normals > 0)
+}
+
+/// Lets `item` append items `0..count` to a buffer, which is written out whenever it is large.
+pub(crate) fn in_chunks(
+    out: &mut impl Write,
+    count: usize,
+    mut item: impl FnMut(usize, &mut Vec<u8>),
+) -> io::Result<()> {
+    const CHUNK: usize = 1 << 18;
+    let mut bytes = Vec::with_capacity(CHUNK + 256);
+    for i in 0..count {
+        item(i, &mut bytes);
+        if bytes.len() >= CHUNK {
+            out.write_all(&bytes)?;
+            bytes.clear();
+        }
+    }
+    out.write_all(&bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tsdfuse::glam::{DVec3, Vec3};
+
+    fn written(mesh: &Mesh) -> (String, Vec<u8>) {
+        let mut bytes = Vec::new();
+        write_to(&mut bytes, mesh).unwrap();
+        let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        let body = bytes.split_off(end);
+        (String::from_utf8(bytes).unwrap(), body)
+    }
+
+    fn triangle(x: f64) -> Mesh {
+        Mesh {
+            vertices: vec![DVec3::ZERO, DVec3::new(x, 0.0, 0.0), DVec3::Y],
+            normals: vec![Vec3::Z; 3],
+            triangles: vec![[0, 1, 2]],
+        }
+    }
+
+    #[test]
+    fn coordinates_are_floats_near_the_origin_and_doubles_far_away() {
+        let (near, body) = written(&triangle(-999.9));
+        assert!(near.contains("element vertex 3\nproperty float x\n") && near.contains("element face 1\n"));
+        assert_eq!(body.len(), 3 * 24 + 13);
+        assert_eq!(body[24..28], (-999.9_f32).to_le_bytes());
+        assert_eq!(body[72..], [3, 0, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0]);
+        let (far, body) = written(&triangle(5e6));
+        assert!(far.contains("property double x\n") && far.contains("property float nx\n"));
+        assert_eq!(body.len(), 3 * 36 + 13);
+        assert_eq!(body[36..44], 5e6_f64.to_le_bytes());
+    }
+
+    #[test]
+    fn normals_are_for_all_vertices_or_none() {
+        let mut mesh = triangle(1.0);
+        mesh.normals.clear();
+        assert!(!written(&mesh).0.contains("nx"));
+        mesh.normals.push(Vec3::Z);
+        assert_eq!(
+            write_to(std::io::sink(), &mesh).unwrap_err().kind(),
+            io::ErrorKind::InvalidInput
+        );
+    }
+
+    #[test]
+    fn long_lists_are_written_in_full() {
+        let mut mesh = triangle(1.0);
+        mesh.triangles = vec![[0, 1, 2]; 100_000];
+        assert_eq!(written(&mesh).1.len(), 72 + 1_300_000);
+    }
+}

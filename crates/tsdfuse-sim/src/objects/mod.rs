@@ -1,0 +1,20 @@
+//! Things that stand in scenes, each in its own frame: x forward or along, y left, z up, the ground at z = 0, metres.
+//!
+//! What stands on the ground reaches a little below it, so that nothing floats on a slope.
+
+mod building;
+mod furniture;
+mod parts;
+mod plants;
+mod vehicles;
+mod warehouse;
+
+pub(crate) use building::{Building, building};
+pub(crate) use furniture::*;
+pub(crate) use parts::{Opening, Parts, Rng, pick};
+pub(crate) use plants::{conifer, hedge, tree};
+pub(crate) use vehicles::{car, forklift, van};
+pub(crate) use warehouse::*;
+
+/// How deep things are set into the ground.
+pub(crate) const FOOTING_M: f64 = 0.15;

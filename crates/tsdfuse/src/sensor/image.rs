@@ -1,0 +1,278 @@
+//! The organized image of a scan: which return was measured by which laser at which firing.
+//!
+//! ```text
+//!  ring (row)                                   column j: firing at azimuth −2π(j + phase)/columns, clockwise
+//!   n−1  ┌───┬───┬───┬───┐
+//!        │   │ 4 │ 7 │   │  ← each cell holds the index of its return, or NONE
+//!    0   └───┴───┴───┴───┘
+//!          0   1   2   3     the last column and column 0 are neighbours
+//! ```
+//!
+//! Real lasers do not fire in step: each ring has its own phase within the column width. It is the circular mean of its
+//! returns' azimuths modulo the column width, so that they fall into the middle of the columns and none on a border.
+
+use std::f32::consts::TAU;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::SensorModel;
+use super::approx::{atan2_f32, sin_cos};
+
+/// Marks a cell without return, and a return without cell.
+pub const NONE: u32 = u32::MAX;
+
+/// Returns that one thread takes at a time.
+const PART: usize = 8192;
+
+/// Bins of a ring's azimuths within a column.
+const PHASE_BINS: usize = 32;
+
+/// Returns of one scan by ring and column. Reuse it from scan to scan: it keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct ScanImage {
+    columns: usize,
+    /// Row by row: the index of the return, or [`NONE`].
+    cells: Vec<u32>,
+    /// Per return: its cell, or [`NONE`].
+    cell_of: Vec<u32>,
+    collisions: usize,
+    outside: usize,
+    /// Tangent of the angle between each ring and the next.
+    ring_gap_tangents: Vec<f32>,
+    column_width_tangent: f32,
+    /// Azimuth of each return in columns, NaN for invalid ones.
+    places: Vec<f32>,
+    /// Returns per ring and part of a column.
+    phase_bins: Vec<[u32; PHASE_BINS]>,
+}
+
+impl ScanImage {
+    /// An image without cells.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Builds the image of returns in the sensor frame at their own time (metres), one ring number each.
+    ///
+    /// `model` has passed [`SensorModel::check`]. Where two returns fall into one cell, the one nearer to the cell's
+    /// middle stays, and the other is counted by [`ScanImage::collisions`].
+    pub fn update(&mut self, points: &[Vec3], rings: &[u16], model: &SensorModel) {
+        self.columns = model.columns as usize;
+        self.cells.clear();
+        self.cells.resize(model.rings() * self.columns, NONE);
+        self.cell_of.clear();
+        self.cell_of.resize(points.len(), NONE);
+        (self.collisions, self.outside) = (0, 0);
+        self.measure_angles(model);
+        self.find_places(points);
+        self.count_phases(rings, model.rings());
+        self.fill(rings);
+    }
+
+    /// Rows of the image.
+    pub fn rings(&self) -> usize {
+        self.cells.len() / self.columns.max(1)
+    }
+
+    /// Columns of the image.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// The return in a cell.
+    #[inline]
+    pub fn get(&self, ring: usize, column: usize) -> Option<usize> {
+        let cell = (column < self.columns)
+            .then(|| self.cells.get(ring * self.columns + column))
+            .flatten();
+        cell.filter(|&&i| i != NONE).map(|&i| i as usize)
+    }
+
+    /// The indices of a ring's returns by column, [`NONE`] where there is none; empty for a ring that does not exist.
+    pub fn row(&self, ring: usize) -> &[u32] {
+        self.cells
+            .get(ring * self.columns..(ring + 1) * self.columns)
+            .unwrap_or(&[])
+    }
+
+    /// Ring and column of a return; `None` if it lost its cell to another one or fits none.
+    #[inline]
+    pub fn place_of(&self, point: usize) -> Option<(usize, usize)> {
+        let cell = self.cell_of.get(point).filter(|&&c| c != NONE)?;
+        let cell = *cell as usize;
+        Some((cell / self.columns, cell % self.columns))
+    }
+
+    /// Returns that lost their cell to another return of the same ring and column.
+    pub fn collisions(&self) -> usize {
+        self.collisions
+    }
+
+    /// Returns that are invalid or of no ring of the sensor.
+    pub fn outside(&self) -> usize {
+        self.outside
+    }
+
+    /// tan Δθ between a ring and the next one above.
+    pub(crate) fn ring_gap_tangent(&self, ring: usize) -> f32 {
+        self.ring_gap_tangents.get(ring).copied().unwrap_or(0.0)
+    }
+
+    /// tan Δφ between two columns.
+    pub(crate) fn column_width_tangent(&self) -> f32 {
+        self.column_width_tangent
+    }
+
+    fn measure_angles(&mut self, model: &SensorModel) {
+        let tangent = |angle: f64| {
+            let (sin, cos) = sin_cos(angle);
+            (sin / cos) as f32
+        };
+        let gaps = model
+            .elevations_deg
+            .windows(2)
+            .map(|e| tangent(f64::from(e[1] - e[0]).to_radians()));
+        self.ring_gap_tangents.clear();
+        self.ring_gap_tangents.extend(gaps);
+        self.column_width_tangent = tangent(model.column_width_rad());
+    }
+
+    fn find_places(&mut self, points: &[Vec3]) {
+        let columns = self.columns as f32;
+        let per_rad = columns / TAU;
+        self.places.resize(points.len(), 0.0);
+        let parts = points.par_chunks(PART).zip(self.places.par_chunks_mut(PART));
+        // A plain loop over slices, so that the compiler vectorises it.
+        parts.for_each(|(points, places)| {
+            for (p, place) in points.iter().zip(places) {
+                let column = -atan2_f32(p.y, p.x) * per_rad;
+                let column = if column < 0.0 { column + columns } else { column };
+                let size = p.x.abs() + p.y.abs() + p.z.abs();
+                // Adds 0, or NaN for what is not finite and for the zero vector.
+                *place = column + (size - size) / size;
+            }
+        });
+    }
+
+    fn count_phases(&mut self, rings: &[u16], count: usize) {
+        self.phase_bins.clear();
+        self.phase_bins.resize(count, [0; PHASE_BINS]);
+        for (&place, &ring) in self.places.iter().zip(rings) {
+            if let Some(bins) = self.phase_bins.get_mut(usize::from(ring)).filter(|_| !place.is_nan()) {
+                // Not negative, so truncation is the floor (a slow call on old instruction sets).
+                bins[(place * PHASE_BINS as f32) as u32 as usize % PHASE_BINS] += 1;
+            }
+        }
+    }
+
+    fn fill(&mut self, rings: &[u16]) {
+        let phases: Vec<f32> = self.phase_bins.iter().map(mean_phase).collect();
+        // Column (one too many at the end of a turn), and distance from its middle; phases are at most ½.
+        let settle = |place: f32, phase: f32| {
+            let shifted = place - phase;
+            let column = (shifted + 0.5) as u32;
+            (column as usize, (shifted - column as f32).abs())
+        };
+        for (point, &place) in self.places.iter().enumerate() {
+            let ring = rings.get(point).map_or(usize::MAX, |&r| usize::from(r));
+            let Some(&phase) = phases.get(ring).filter(|_| !place.is_nan()) else {
+                self.outside += 1;
+                continue;
+            };
+            let (column, off) = settle(place, phase);
+            let column = if column < self.columns { column } else { 0 };
+            let cell = ring * self.columns + column;
+            let holder = self.cells[cell];
+            if holder != NONE {
+                self.collisions += 1;
+                if settle(self.places[holder as usize], phase).1 <= off {
+                    continue;
+                }
+                self.cell_of[holder as usize] = NONE;
+            }
+            self.cells[cell] = point as u32;
+            self.cell_of[point] = cell as u32;
+        }
+    }
+}
+
+/// Circular mean of a ring's azimuths within a column, in columns: in [−½, ½].
+fn mean_phase(bins: &[u32; PHASE_BINS]) -> f32 {
+    let (mut x, mut y) = (0.0, 0.0);
+    for (bin, &count) in bins.iter().enumerate() {
+        let (sin, cos) = sin_cos((bin as f64 + 0.5) / PHASE_BINS as f64 * std::f64::consts::TAU);
+        (x, y) = (x + f64::from(count) * cos, y + f64::from(count) * sin);
+    }
+    (super::approx::atan2(y, x) / std::f64::consts::TAU) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::testing::{random, scan_room};
+    use crate::sensor::{NO_RING, SensorModel, model, names};
+
+    fn image(points: &[Vec3], rings: &[u16], model: &SensorModel) -> ScanImage {
+        let mut image = ScanImage::new();
+        image.update(points, rings, model);
+        image
+    }
+
+    #[test]
+    fn ideal_scans_fill_the_image_in_order() {
+        for name in names() {
+            let model = model(name).unwrap();
+            let (points, rings) = scan_room(&model, |_| 0.0);
+            let image = image(&points, &rings, &model);
+            assert_eq!((image.collisions(), image.outside()), (0, 0), "{name}");
+            for (i, &ring) in rings.iter().enumerate() {
+                let place = (usize::from(ring), i / model.rings());
+                assert_eq!(
+                    (image.place_of(i), image.get(place.0, place.1)),
+                    (Some(place), Some(i)),
+                    "{name}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn any_phase_of_the_lasers_gives_no_collision() {
+        let model = model("pandar64").unwrap();
+        let (points, rings) = scan_room(&model, |ring| 12.0 * f64::from(random(ring)));
+        let image = image(&points, &rings, &model);
+        assert_eq!(image.collisions(), 0);
+        assert!((0..image.rings()).all(|ring| image.row(ring).iter().all(|&i| i != NONE)));
+    }
+
+    #[test]
+    fn the_return_nearer_to_the_middle_wins_whichever_comes_first() {
+        let model = SensorModel::from_beams("flat", vec![0.0], 8, (0.1, 9.0)).unwrap();
+        let at = |column: f32| Vec3::new((-column * TAU / 8.0).cos(), (-column * TAU / 8.0).sin(), 0.0);
+        for (columns, winner) in [([1.0, 2.1, 1.9, 2.0], 3), ([2.0, 2.1, 1.9, 1.0], 0)] {
+            let image = image(&columns.map(at), &[0; 4], &model);
+            assert_eq!((image.get(0, 2), image.collisions()), (Some(winner), 2));
+            assert_eq!((0..4).filter(|&i| image.place_of(i).is_some()).count(), 2);
+        }
+    }
+
+    #[test]
+    fn invalid_returns_stay_outside() {
+        let model = model("vlp16").unwrap();
+        let points = [
+            Vec3::ZERO,
+            Vec3::NAN,
+            Vec3::X,
+            Vec3::X,
+            Vec3::new(1.0, 0.0, f32::INFINITY),
+            Vec3::X,
+            -Vec3::X,
+        ];
+        let image = image(&points, &[0, 0, NO_RING, 16, 0, 3], &model);
+        assert_eq!(
+            (image.outside(), image.collisions(), image.place_of(5)),
+            (6, 0, Some((3, 0)))
+        );
+    }
+}
