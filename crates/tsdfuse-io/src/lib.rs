@@ -15,6 +15,8 @@ mod files;
 pub mod folder;
 pub mod kitti;
 pub mod mesh;
+pub mod pandaset;
+mod pickle;
 pub mod plain;
 pub mod ply;
 pub mod poses;
