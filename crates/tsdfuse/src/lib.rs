@@ -4,6 +4,7 @@ pub mod fuse;
 pub mod index;
 pub mod map;
 pub mod mesh;
+pub mod normals;
 pub mod pose;
 pub mod scan;
 pub mod sensor;
