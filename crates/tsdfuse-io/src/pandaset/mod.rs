@@ -3,9 +3,12 @@
 //! What the files hold and what a [`Scan`] wants differ in four ways, all undone here:
 //!
 //! - Points are stored in **world** coordinates; the sensor saw them from where it was at each point's own time `t`.
-//! - Poses are those of the **vehicle** (y forward); where the sensors sit on it is in [`calibration`].
+//! - Poses are those of the **vehicle** (y forward). Where the sensors sit on it was measured on the data: the Pandar64 0.78 m
+//!   ahead of the vehicle's origin and 1.86 m above it, the PandarGT 0.61 m further ahead and 0.30 m lower.
 //! - A frame's time is the **end** of the Pandar64's sweep. Within it the sensor comes from the previous frame's pose at
-//!   constant rates, which [`motion`] refines; the PandarGT sweeps on its own clock, up to 0.05 s outside of this span.
+//!   constant rates; those of pitch, roll, forward and vertical motion are refined so that the returns of the Pandar64 lie
+//!   on its beams, which poses at 10 Hz alone do not achieve. The PandarGT sweeps on its own clock, up to 0.05 s earlier or
+//!   later.
 //! - Both sensors share a file: `d` is 0 for the Pandar64, 1 for the PandarGT.
 
 mod calibration;

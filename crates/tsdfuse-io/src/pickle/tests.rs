@@ -47,7 +47,8 @@ fn all_layouts_of_pandas_hold_the_same_numbers() {
     assert_eq!(stored.len(), 12);
     for (name, pickle) in stored {
         let table = DataFrame::new(&pickle).unwrap_or_else(|e| panic!("{name}: {e}"));
-        let expected: [(&str, fn(f64) -> f64); 6] = [
+        type Formula = fn(f64) -> f64;
+        let expected: [(&str, Formula); 6] = [
             ("x", |k| k * 1.5 - 3.0),
             ("y", |k| k * 2.25),
             ("z", |k| k * -0.5),
