@@ -102,14 +102,15 @@ impl Grid {
     /// Anchors a scan in the grid at its sensor's position in the world; `None` where the grid ends.
     pub fn anchor(&self, world: DVec3) -> Option<Anchor> {
         let v = world / self.voxel_size_m;
-        let base = v.floor();
         // Also false for NaN.
-        if !(base.abs().max_element() < MAX_VOXEL) {
+        if !(v.abs().max_element() < MAX_VOXEL) {
             return None;
         }
-        let fraction = ((v - base) * ORIGIN_STEPS_PER_VOXEL).round() / ORIGIN_STEPS_PER_VOXEL;
+        let v = (v * ORIGIN_STEPS_PER_VOXEL).round() / ORIGIN_STEPS_PER_VOXEL;
+        let base = floor(v);
+        let fraction = v - base.as_dvec3();
         Some(Anchor {
-            base: base.as_ivec3(),
+            base,
             fraction,
             voxels_per_m: 1.0 / self.voxel_size_m,
         })
@@ -129,15 +130,24 @@ impl Anchor {
     #[inline]
     pub fn locate(&self, from_anchor_m: Vec3) -> Option<GridPoint> {
         let v = self.fraction + from_anchor_m.as_dvec3() * self.voxels_per_m;
-        let base = v.floor();
-        if !(base.abs().max_element() < MAX_VOXEL) {
+        // Also false for NaN.
+        if !(v.abs().max_element() < MAX_VOXEL) {
             return None;
         }
+        let base = floor(v);
         Some(GridPoint {
-            voxel: self.base + base.as_ivec3(),
-            fraction: (v - base).as_vec3(),
+            voxel: self.base + base,
+            fraction: (v - base.as_dvec3()).as_vec3(),
         })
     }
+}
+
+/// The floor of numbers that fit an i32: a few instructions, where the library's is a call on the x86-64 baseline.
+#[inline]
+fn floor(v: DVec3) -> IVec3 {
+    let towards_zero = v.as_ivec3();
+    let above = towards_zero.as_dvec3().cmpgt(v);
+    towards_zero - IVec3::new(above.x.into(), above.y.into(), above.z.into())
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ pub mod pose;
 pub mod scan;
 pub mod sensor;
 
-pub use fuse::{Integration, Integrator, Raycast};
+pub use fuse::{Integration, Integrator, Normals, Raycast};
 pub use glam;
 pub use map::{MapConfig, VoxelMap};
 pub use mesh::Mesh;

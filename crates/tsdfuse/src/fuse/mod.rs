@@ -5,6 +5,7 @@
 //! about or on a line, and `scatter` finds blocks, combines updates and spreads the work over threads.
 
 mod cylinder;
+mod normals;
 mod pierced;
 mod placed;
 mod raycast;
@@ -12,9 +13,12 @@ mod scatter;
 
 use serde::{Deserialize, Serialize};
 
+pub use normals::Normals;
 pub use raycast::{Distance, Raycast, RaycastConfig};
 
-use crate::{index::BlockIndex, map::VoxelMap, scan::Scan, scan::ScanError, sensor::SensorModel};
+use crate::{
+    index::BlockIndex, map::VoxelMap, normals::NormalsConfig, scan::Scan, scan::ScanError, sensor::SensorModel,
+};
 
 /// The methods, by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,6 +27,8 @@ pub enum Method {
     /// [`Raycast`].
     #[default]
     Raycast,
+    /// [`Normals`].
+    Normals,
 }
 
 /// The options of all methods.
@@ -31,23 +37,38 @@ pub enum Method {
 pub struct FuseConfig {
     /// Options of [`Raycast`].
     pub raycast: RaycastConfig,
+    /// Options of [`Normals`].
+    pub normals: NormalsConfig,
+}
+
+impl FuseConfig {
+    /// Checks the options of all methods.
+    ///
+    /// # Errors
+    /// [`FuseError::Config`] names the option and what is possible.
+    pub fn validate(&self) -> Result<(), FuseError> {
+        self.normals.validate().map_err(|e| FuseError::Config(e.to_string()))
+    }
 }
 
 impl Method {
     /// All methods.
-    pub const ALL: &[Self] = &[Self::Raycast];
+    pub const ALL: &[Self] = &[Self::Raycast, Self::Normals];
 
     /// The name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Raycast => "raycast",
+            Self::Normals => "normals",
         }
     }
 
-    /// The method's integrator. `sensor` is the model of the sensor, where it is known.
-    pub fn build(self, config: &FuseConfig, _sensor: Option<&SensorModel>) -> Box<dyn Integrator> {
+    /// The method's integrator. `sensor` is the model of the sensor, where it is known; methods that need one guess it from
+    /// their first scan otherwise.
+    pub fn build(self, config: &FuseConfig, sensor: Option<&SensorModel>) -> Box<dyn Integrator> {
         match self {
             Self::Raycast => Box::new(Raycast::new(config.raycast)),
+            Self::Normals => Box::new(Normals::new(config.normals, sensor.cloned())),
         }
     }
 }
@@ -115,6 +136,9 @@ pub enum FuseError {
     /// The scan contradicts itself.
     #[error(transparent)]
     Scan(#[from] ScanError),
+    /// An option has an impossible value.
+    #[error("{0}")]
+    Config(String),
     /// The method needs an organized scan, and neither the scan nor the sensor's model tells the laser of each return.
     #[error("{scan}: {reason}")]
     Unorganized {

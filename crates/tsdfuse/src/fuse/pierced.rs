@@ -5,7 +5,7 @@
 
 use glam::{IVec3, Vec3};
 
-use super::cylinder::Member;
+use super::cylinder::{Member, round};
 use crate::index::GridPoint;
 
 /// A line through `center` along the unit vector `axis`, of which the part within `half_length` voxels of `center` counts.
@@ -62,13 +62,13 @@ impl Segment {
         let mut next = [f32::INFINITY; 3];
         for k in 0..3 {
             if axis[k].abs() < STILL {
-                cell[k] = center[k].floor() as i32;
+                cell[k] = i32::from(center[k] >= 1.0);
                 continue;
             }
             inverse[k] = 1.0 / axis[k];
             (step[k], ahead[k]) = if axis[k] > 0.0 { (1, 1) } else { (-1, 0) };
-            cell[k] = (center[k] - axis[k] * reach).floor() as i32;
-            // Rounding may have picked a neighbour: the crossing times decide.
+            cell[k] = round(center[k] - axis[k] * reach - 0.5);
+            // This may be a neighbour: the crossing times decide.
             while Self::crossing(inverse[k], cell[k] + ahead[k], center[k]) <= -reach {
                 cell[k] += step[k];
             }

@@ -234,7 +234,7 @@ impl Lane {
     }
 
     /// Writes one update: distance over μ (clamped to ±1) and weight (clamped to 0..=1; too little is no update).
-    #[inline]
+    #[inline(always)]
     pub(crate) fn update(&mut self, voxel: IVec3, distance: f32, weight: f32) {
         let weight = round(weight.clamp(0.0, 1.0) * WEIGHT_SCALE as f32);
         if weight > 0 {

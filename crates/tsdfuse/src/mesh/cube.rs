@@ -11,7 +11,7 @@
 //! ```
 //!
 //! On each face of the cube, every run of negative corners is cut off by one segment; so the two cells at a face always draw
-//! the same segments, and the surface has no cracks. The segments of the six faces close to loops, which are cut into fans.
+//! the same segments, and the surface has no cracks. The segments of the six faces close to loops, which are cut into triangles.
 
 use std::sync::LazyLock;
 
@@ -74,9 +74,28 @@ fn triangles(negative: usize) -> Vec<[u8; 3]> {
             polygon.push(edge as u8);
             edge = following;
         }
-        triangles.extend((2..polygon.len()).map(|k| [polygon[0], polygon[k - 1], polygon[k]]));
+        triangles.extend(fan(&polygon));
     }
     triangles
+}
+
+/// Cuts a polygon into the fan about one of its corners: the first for which no cut lies in a face of the cube. (A cut in a
+/// face might be made by the neighbouring cell too, and four triangles would meet there.)
+fn fan(polygon: &[u8]) -> Vec<[u8; 3]> {
+    let n = polygon.len();
+    let at = |apex: usize, k: usize| polygon[(apex + k) % n];
+    let apex = (0..n)
+        .find(|&apex| (2..n - 1).all(|k| !share_face(at(apex, 0), at(apex, k))))
+        .unwrap_or_default();
+    (2..n).map(|k| [at(apex, 0), at(apex, k - 1), at(apex, k)]).collect()
+}
+
+/// Do two edges lie in one face of the cube?
+fn share_face(a: u8, b: u8) -> bool {
+    let corners = |edge: u8| EDGE_CORNERS[edge as usize];
+    FACES
+        .iter()
+        .any(|face| corners(a).iter().chain(&corners(b)).all(|c| face.contains(c)))
 }
 
 #[cfg(test)]

@@ -1,0 +1,113 @@
+//! Local surface normals (OP), thesis 5.4: every return updates the voxels along the normal of the surface it lies on.
+//!
+//! Which voxels: within √3·κ/2 of the line through p along n (5.14), within μ of the surface's plane (5.15). What distance:
+//! (v − p)·n/μ (5.16), to the plane. What weight: w_θ·w_o·w_n (5.20), by how well the neighbouring faces agree, by range and by
+//! incidence.
+//!
+//! Strong at grazing incidence, where raycasting leaves holes. Weak at edges and on thin parts, which have no normal or a wrong
+//! one (thesis 7.4); returns without a normal are not fused, so that less is covered.
+
+use std::{f32::consts::PI, time::Instant};
+
+use super::{
+    FuseError, Integration, Integrator,
+    cylinder::{Cylinder, VOXEL_RADIUS},
+    placed::Placed,
+    scatter::{Scatter, Skip},
+};
+use crate::{
+    map::VoxelMap,
+    normals::{Normal, NormalsConfig, estimate},
+    scan::Scan,
+    sensor::{ScanImage, SensorModel, approx::acos_f32, guess, rings_of},
+};
+
+/// The integrator along local surface normals.
+#[derive(Debug, Default)]
+pub struct Normals {
+    config: NormalsConfig,
+    sensor: Option<SensorModel>,
+    placed: Placed,
+    image: ScanImage,
+    normals: Vec<Normal>,
+    scatter: Scatter,
+}
+
+impl Normals {
+    /// With the given options. Without a sensor's model, the first scan decides which one it is.
+    pub fn new(config: NormalsConfig, sensor: Option<SensorModel>) -> Self {
+        Self {
+            config,
+            sensor,
+            ..Self::default()
+        }
+    }
+
+    /// The sensor's model, guessed from the scan if it was not given.
+    fn sensor(&mut self, scan: &Scan) -> Result<&SensorModel, FuseError> {
+        let unorganized = |reason: String| FuseError::Unorganized {
+            scan: scan.name.clone(),
+            reason,
+        };
+        let sensor = match self.sensor.take() {
+            Some(sensor) => sensor,
+            None => guess(&scan.points, scan.rings.as_deref()).ok_or_else(|| {
+                unorganized(
+                    "no laser beams show in the scan, which this method needs: name the sensor, or use raycast".into(),
+                )
+            })?,
+        };
+        sensor.check().map_err(|e| unorganized(e.to_string()))?;
+        Ok(self.sensor.insert(sensor))
+    }
+}
+
+impl Integrator for Normals {
+    fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError> {
+        let start = Instant::now();
+        self.placed.place(map.grid(), scan)?;
+        if scan.points.is_empty() {
+            return Ok(Integration::default());
+        }
+        let sensor = self.sensor(scan)?.clone();
+        self.image.update(&scan.points, &rings_of(scan, &sensor), &sensor);
+        let origins = Some(self.placed.origins.as_slice()).filter(|o| !o.is_empty());
+        estimate(
+            &self.image,
+            &self.placed.points,
+            origins,
+            &self.config,
+            &mut self.normals,
+        );
+        let prepare_secs = start.elapsed().as_secs_f64();
+
+        let truncation = map.config().truncation_vox();
+        let (placed, normals) = (&self.placed, &self.normals);
+        let integration = self.scatter.run(map, placed.len(), |i, lane| {
+            let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
+            let Normal { normal, agreement } = normals[i];
+            if !normals[i].is_some() {
+                return Err(Skip::WithoutNormal);
+            }
+            let by_range = 1.0 - ray.range_m / sensor.max_range_m; // (5.18)
+            let by_incidence = 1.0 - 2.0 * acos_f32(-ray.direction.dot(normal)) / PI; // (5.19)
+            let weight = agreement * by_range * by_incidence; // (5.20); agreement is (5.17)
+            if !(weight > 0.0) {
+                return Err(Skip::WithoutWeight);
+            }
+            let about = Cylinder {
+                center: ray.end,
+                axis: normal,
+                radius: VOXEL_RADIUS,
+                half_length: truncation,
+            };
+            lane.approach(about.lowest_voxel());
+            about.for_each(|v| lane.update(v.voxel, v.along / truncation, weight)); // (5.16)
+            Ok(())
+        });
+        Ok(Integration {
+            prepare_secs,
+            ..integration
+        })
+    }
+}

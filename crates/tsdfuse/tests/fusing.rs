@@ -1,0 +1,332 @@
+//! Fusing against a literal implementation, and what the map promises: the same bits for any number of threads, any split of
+//! a log into scans, and any place in the world.
+
+use std::collections::BTreeMap;
+
+use tsdfuse::{
+    Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap,
+    fuse::{Distance, RaycastConfig},
+    glam::{DQuat, DVec3, IVec3, Vec3},
+    index::voxel_at,
+    mesh,
+};
+
+const FORMS: [Distance; 2] = [Distance::Euclidean, Distance::Projective];
+
+/// A scan of a room of 6 × 5 × 3 m from somewhere inside it, tilted.
+fn scan(number: usize, rays: usize) -> Scan {
+    let n = number as f64;
+    let pose = Pose {
+        rotation: DQuat::from_euler(tsdfuse::glam::EulerRot::XYZ, 0.1 * n, -0.07 * n, 0.5 * n),
+        translation: DVec3::new(0.3 * n - 0.5, 0.2 * n - 0.4, 0.1 * n),
+    };
+    let half = DVec3::new(3.0, 2.5, 1.5);
+    let points = (0..rays).map(|i| {
+        // Fibonacci's sphere.
+        let z = 1.0 - 2.0 * (i as f64 + 0.5) / rays as f64;
+        let (sin, cos) = (i as f64 * 2.399_963_229_728_653).sin_cos();
+        let direction = DVec3::new(cos * (1.0 - z * z).sqrt(), sin * (1.0 - z * z).sqrt(), z);
+        let in_world = pose.rotation * direction;
+        let wall = in_world.signum() * half;
+        let range = ((wall - pose.translation) / in_world).min_element();
+        let noise = 0.02 * ((i * 7919 + number * 104_729) % 1000) as f64 / 1000.0;
+        (direction * (range + noise)).as_vec3()
+    });
+    Scan {
+        name: format!("scan {number}"),
+        points: points.collect(),
+        pose,
+        ..Default::default()
+    }
+}
+
+fn fuse(scans: &[Scan], distance: Distance) -> VoxelMap {
+    let mut map = VoxelMap::new(MapConfig::default()).unwrap();
+    let mut method = Raycast::new(RaycastConfig { distance });
+    for scan in scans {
+        let done = method.integrate(&mut map, scan).unwrap();
+        assert_eq!(done.fused_returns as usize, scan.points.len());
+    }
+    map
+}
+
+fn observed(map: &VoxelMap) -> BTreeMap<[i32; 3], (f64, f64)> {
+    let mut all = BTreeMap::new();
+    for index in map.block_indices() {
+        for (local, voxel) in map.block(index).unwrap().voxels.iter().enumerate() {
+            if let Some(f) = voxel.distance() {
+                all.insert(
+                    voxel_at(index, local).to_array(),
+                    (f64::from(voxel.weight()), f64::from(f)),
+                );
+            }
+        }
+    }
+    all
+}
+
+/// The formulas of raycasting as they stand, for every voxel of a cube about each return, in f64.
+fn literal(scans: &[Scan], distance: Distance) -> BTreeMap<[i32; 3], (f64, f64)> {
+    let MapConfig {
+        voxel_size_m: k,
+        truncation_m: mu,
+        ..
+    } = MapConfig::default();
+    let mut sums = BTreeMap::<[i32; 3], (f64, f64)>::new();
+    for scan in scans {
+        let o = scan.pose.translation;
+        for &point in &scan.points {
+            let p = scan.pose.transform_point(point.as_dvec3());
+            let r = (p - o).normalize();
+            let center = (p / k).floor().as_ivec3();
+            for (z, y, x) in (-6..=6).flat_map(|z| (-6..=6).flat_map(move |y| (-6..=6).map(move |x| (z, y, x)))) {
+                let index = center + IVec3::new(x, y, z);
+                let v = (index.as_dvec3() + 0.5) * k;
+                let off_axis = (o - v).cross(p - o).length() / (p - o).length(); // (5.5)
+                let along = (p - v).dot(r);
+                let mut w = (1.0 / (p - o).length()).min(1.0); // (5.8)
+                let f = match distance {
+                    Distance::Euclidean => along.signum() * (v - p).length() / mu, // (5.7)
+                    Distance::Projective => along / mu,
+                };
+                let touched = match distance {
+                    Distance::Euclidean => off_axis < 3_f64.sqrt() * k / 2.0, // (5.6)
+                    Distance::Projective => {
+                        let (a, b) = ((v - k / 2.0 - p) / r, (v + k / 2.0 - p) / r);
+                        a.min(b).max_element() < a.max(b).min_element()
+                    }
+                };
+                if let Distance::Projective = distance {
+                    w *= 1.0 - off_axis * off_axis / (0.75 * k * k);
+                    if along < -1.5 * k {
+                        w *= ((mu + along) / (mu - 1.5 * k)).powi(2);
+                    }
+                }
+                if touched && (v - p).length() <= mu {
+                    let sum = sums.entry(index.to_array()).or_default();
+                    *sum = (sum.0 + w, sum.1 + w * f);
+                }
+            }
+        }
+    }
+    sums.into_iter().map(|(v, (w, s))| (v, (w, s / w))).collect()
+}
+
+/// The share of voxels that differ: present in one map only, or apart by more than the fixed point's rounding (half a unit of
+/// 1/32768 per update, in the weight and in the weighted distance). Looks from both sides.
+fn differing(a: &BTreeMap<[i32; 3], (f64, f64)>, b: &BTreeMap<[i32; 3], (f64, f64)>) -> f64 {
+    let apart = |v: &[i32; 3], (wa, fa): &(f64, f64)| {
+        b.get(v)
+            .is_none_or(|(wb, fb)| (wa - wb).abs() > 1e-3 * wb + 1e-4 || (fa - fb).abs() > 1e-3 + 1e-4 / wb)
+    };
+    let from_a = a.iter().filter(|(v, x)| apart(v, x)).count();
+    let only_in_b = b.keys().filter(|v| !a.contains_key(*v)).count();
+    (from_a + only_in_b) as f64 / a.len().max(b.len()) as f64
+}
+
+#[test]
+fn raycasting_is_what_its_formulas_say() {
+    let scans = [scan(0, 3000), scan(1, 3000)];
+    for form in FORMS {
+        let mut fast = observed(&fuse(&scans, form));
+        // Weights too small for the fixed point are no updates.
+        let mut slow = literal(&scans, form);
+        slow.retain(|_, (w, _)| *w > 1e-4);
+        fast.retain(|_, (w, _)| *w > 1e-4);
+        assert!(fast.len() > 20_000, "{} voxels", fast.len());
+        let share = differing(&fast, &slow);
+        assert!(share < 0.005, "{form:?}: {share} of {} voxels differ", fast.len());
+
+        // The comparison sees a lost voxel, an additional one, and a wrong distance.
+        let lost = |n: usize| {
+            let mut map = fast.clone();
+            let keys: Vec<_> = map.keys().copied().step_by(fast.len() / n).collect();
+            keys.iter().for_each(|k| drop(map.remove(k)));
+            map
+        };
+        let wrong = fast.iter().map(|(v, (w, f))| (*v, (*w, f + 0.01))).collect();
+        assert!(differing(&lost(500), &slow) > 0.005);
+        assert!(differing(&slow, &lost(500)) > 0.005);
+        assert!(differing(&wrong, &slow) > 0.9);
+    }
+}
+
+#[test]
+fn threads_change_no_bit() {
+    let scans: Vec<_> = (0..4).map(|n| scan(n, 5000)).collect();
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut map = VoxelMap::new(MapConfig::default()).unwrap();
+            let mut method = Raycast::default();
+            let updated: Vec<_> = scans
+                .iter()
+                .map(|s| method.integrate(&mut map, s).unwrap().updated_blocks)
+                .collect();
+            let mesh = mesh::extract(&map).unwrap();
+            (map, updated, mesh)
+        })
+    };
+    let one = run(1);
+    assert!(one.2.triangles.len() > 10_000);
+    for threads in [2, 3, 7] {
+        assert!(run(threads) == one, "{threads} threads");
+    }
+    // The comparison sees a single voxel.
+    let fewer = fuse(&scans[..3], Distance::Euclidean);
+    assert!(fewer != one.0);
+}
+
+#[test]
+fn many_scans_of_one_return_equal_one_scan_of_many() {
+    let whole = scan(2, 2000);
+    let parts: Vec<_> = whole
+        .points
+        .chunks(7)
+        .map(|c| Scan {
+            points: c.to_vec(),
+            pose: whole.pose,
+            ..Default::default()
+        })
+        .collect();
+    for form in FORMS {
+        assert!(
+            fuse(std::slice::from_ref(&whole), form) == fuse(&parts, form),
+            "{form:?}"
+        );
+    }
+}
+
+#[test]
+fn the_map_moves_with_the_data() {
+    // A multiple of the block's edge; UTM-sized.
+    let shift = DVec3::new(500_000.0, 5_400_000.0, 300.0);
+    let near: Vec<_> = (0..3).map(|n| scan(n, 5000)).collect();
+    let mut far = near.clone();
+    far.iter_mut().for_each(|s| s.pose.translation += shift);
+    for form in FORMS {
+        let (here, there) = (
+            mesh::extract(&fuse(&near, form)).unwrap(),
+            mesh::extract(&fuse(&far, form)).unwrap(),
+        );
+        assert_eq!(here.triangles, there.triangles);
+        assert!(here.triangles.len() > 1000);
+        let off = here
+            .vertices
+            .iter()
+            .zip(&there.vertices)
+            .map(|(a, b)| (*b - *a - shift).length());
+        let worst = off.fold(0.0, f64::max);
+        assert!(worst < 1e-6, "a vertex moved by {worst} m");
+    }
+}
+
+#[test]
+fn updated_blocks_are_those_that_changed() {
+    let scans = [scan(0, 2000), scan(3, 2000)];
+    let mut map = fuse(&scans[..1], Distance::Euclidean);
+    let before = map.clone();
+    let updated = Raycast::default()
+        .integrate(&mut map, &scans[1])
+        .unwrap()
+        .updated_blocks;
+    let mut changed = map.block_indices();
+    changed.retain(|&i| map.block(i) != before.block(i));
+    let mut sorted = updated.clone();
+    sorted.sort();
+    sorted.dedup();
+    assert_eq!(sorted.len(), updated.len(), "a block is named twice");
+    assert_eq!(sorted, changed);
+}
+
+#[test]
+fn the_weight_is_limited_and_the_map_follows() {
+    let mut map = VoxelMap::new(MapConfig {
+        max_weight: 2.0,
+        ..Default::default()
+    })
+    .unwrap();
+    let wall = |x: f32| Scan {
+        points: vec![Vec3::new(x, 0.025, 0.025)],
+        ..Default::default()
+    };
+    let mut method = Raycast::new(RaycastConfig {
+        distance: Distance::Projective,
+    });
+    let voxel = IVec3::new(21, 0, 0);
+    (0..50).for_each(|_| drop(method.integrate(&mut map, &wall(1.0)).unwrap()));
+    assert!((map.voxel(voxel).weight() - 2.0).abs() < 1e-3, "{:?}", map.voxel(voxel));
+    assert!(map.voxel(voxel).distance().unwrap() < 0.0);
+    (0..50).for_each(|_| drop(method.integrate(&mut map, &wall(1.15)).unwrap()));
+    assert!(map.voxel(voxel).distance().unwrap() > 0.3);
+}
+
+#[test]
+fn hostile_returns_are_skipped_and_counted() {
+    let mut map = VoxelMap::new(MapConfig::default()).unwrap();
+    let bad = [
+        Vec3::NAN,
+        Vec3::ZERO,
+        Vec3::new(f32::INFINITY, 0.0, 0.0),
+        Vec3::splat(f32::MAX),
+        Vec3::splat(-3e9),
+        Vec3::new(1.0, f32::NAN, 2.0),
+    ];
+    for form in FORMS {
+        let mut method = Raycast::new(RaycastConfig { distance: form });
+        let done = method
+            .integrate(
+                &mut map,
+                &Scan {
+                    points: bad.to_vec(),
+                    ..Default::default()
+                },
+            )
+            .unwrap();
+        assert_eq!(done.skipped.outside_grid, bad.len() as u64);
+        assert_eq!((done.fused_returns, map.block_count()), (0, 0));
+        let lost = Scan {
+            name: "lost".into(),
+            points: vec![Vec3::X],
+            pose: Pose {
+                translation: DVec3::splat(1e12),
+                ..Pose::IDENTITY
+            },
+            ..Default::default()
+        };
+        let error = method.integrate(&mut map, &lost).unwrap_err().to_string();
+        assert!(error.contains("lost") && error.contains("outside"), "{error}");
+    }
+}
+
+#[test]
+fn motion_within_the_sweep_is_undone() {
+    // A wall 5 m ahead, seen while driving towards it at 10 m/s for 0.1 s and turning by 0.1 rad.
+    let end = Pose {
+        rotation: DQuat::from_rotation_z(0.1),
+        translation: DVec3::new(1.0, 0.0, 0.0),
+    };
+    let motion = tsdfuse::scan::Motion { pose: end, secs: 0.1 };
+    let trajectory = tsdfuse::scan::Trajectory::new(Pose::IDENTITY, &motion);
+    let times: Vec<f32> = (0..2000).map(|i| i as f32 * 0.1 / 2000.0).collect();
+    let points = times.iter().enumerate().map(|(i, &t)| {
+        let wall = DVec3::new(5.0, (i % 50) as f64 * 0.02, (i / 50) as f64 * 0.02);
+        trajectory.at(f64::from(t)).inverse().transform_point(wall).as_vec3()
+    });
+    let moving = Scan {
+        points: points.collect(),
+        times: Some(times.clone()),
+        motion: Some(motion),
+        ..Default::default()
+    };
+    let off = |scan: &Scan| {
+        let mesh = mesh::extract(&fuse(std::slice::from_ref(scan), Distance::Projective)).unwrap();
+        assert!(mesh.vertices.len() > 100);
+        mesh.vertices.iter().map(|v| (v.x - 5.0).abs()).sum::<f64>() / mesh.vertices.len() as f64
+    };
+    assert!(off(&moving) < 0.002, "{}", off(&moving));
+    assert!(
+        off(&Scan { motion: None, ..moving }) > 0.1,
+        "without motion the wall must be smeared"
+    );
+}
