@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         std::io::stderr(),
         "{} points a scan, {rate:.2} million rays a second on {} threads",
         points / taken.max(1),
-        std::thread::available_parallelism()?
+        rayon::current_num_threads()
     )?;
     Ok(())
 }

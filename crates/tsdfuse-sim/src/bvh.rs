@@ -173,3 +173,44 @@ fn best_split(items: &mut [Item]) -> (usize, usize) {
     }
     (best.1, best.2)
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+
+    use super::*;
+    use crate::objects::Rng;
+
+    fn random(rng: &mut Rng, size: DVec3) -> DVec3 {
+        size * DVec3::from([(); 3].map(|()| rng.random_range(-1.0..1.0)))
+    }
+
+    /// Points anywhere in the street, and rays from within the space that is free of houses.
+    #[test]
+    fn finds_what_a_search_through_all_finds() {
+        let scene = crate::scene::by_name("street", 3).unwrap();
+        let solids = scene.primitives();
+        let mut rng = Rng::seed_from_u64(1);
+        for _ in 0..1000 {
+            let p = random(&mut rng, DVec3::new(70.0, 30.0, 10.0));
+            let least = solids
+                .iter()
+                .map(|s| s.signed_distance(p))
+                .fold(f64::INFINITY, f64::min);
+            assert_eq!(scene.signed_distance(p), least);
+
+            let origin = random(&mut rng, DVec3::new(50.0, 9.0, 3.0)) + DVec3::Z * 5.0;
+            let direction = random(&mut rng, DVec3::ONE).normalize();
+            let entries = solids.iter().filter_map(|s| s.enter(origin, direction));
+            let first = entries.map(|e| e.t).filter(|&t| t > 0.0).min_by(f64::total_cmp);
+            assert_eq!(scene.cast_local(origin, direction).map(|h| h.range_m), first);
+        }
+    }
+
+    #[test]
+    fn nothing_is_far_and_unseen() {
+        let bvh = Bvh::new(Vec::new());
+        assert_eq!(bvh.signed_distance(DVec3::ZERO), f64::INFINITY);
+        assert!(bvh.cast(DVec3::ZERO, DVec3::X).is_none());
+    }
+}

@@ -23,6 +23,7 @@
 //! }
 //! ```
 
+mod beam;
 mod bvh;
 mod lidar;
 mod noise;

@@ -21,8 +21,8 @@ pub struct NoiseModel {
     pub divergence_rad: f64,
     /// Probability that a return is lost for no reason.
     pub dropout: f64,
-    /// Strength of the echo at which half of the returns are lost, as reflectivity × cos(incidence) × (longest range / range)²;
-    /// 0.02 loses asphalt from a car's roof between 50 m and 100 m. 0: none are lost.
+    /// Strength of the echo at which half of the returns are lost, as reflectivity × cos(incidence) × (longest range / range)².
+    /// With 0.02 a sensor of 200 m, 1.9 m above a road, loses half of the asphalt about 90 m away. 0: none are lost.
     pub weak_echo: f64,
     /// Probability that dust or rain returns the beam somewhere before the surface.
     pub airborne: f64,
@@ -51,6 +51,15 @@ impl NoiseModel {
             dropout: 0.0,
             weak_echo: 0.0,
             airborne: 0.0,
+        }
+    }
+
+    /// The range as a multiple of [`NoiseModel::range_step_m`].
+    pub(crate) fn rounded(&self, range_m: f64) -> f64 {
+        if self.range_step_m > 0.0 {
+            (range_m / self.range_step_m).round() * self.range_step_m
+        } else {
+            range_m
         }
     }
 

@@ -1,8 +1,6 @@
 //! NumPy arrays of numbers: one or two dimensions, C or Fortran order, either byte order, read where they lie.
 
-use std::borrow::Cow;
-
-use super::graph::{Class, Graph, Value};
+use super::graph::{Bytes, Class, Graph, Value};
 
 /// An array of numbers, `rows × len` (a vector is one row).
 #[derive(Debug)]
@@ -13,7 +11,7 @@ pub(super) struct Array<'a> {
     fortran_order: bool,
     pub(super) rows: usize,
     pub(super) len: usize,
-    bytes: Cow<'a, [u8]>,
+    bytes: Bytes<'a>,
 }
 
 impl<'a> Array<'a> {
@@ -125,9 +123,4 @@ fn item_size(dtype: &str) -> Option<usize> {
         "i1" | "u1" | "b1" => Some(1),
         _ => None,
     }
-}
-
-/// Text of code points below 256 as bytes.
-pub(super) fn latin1(text: &str) -> Option<Vec<u8>> {
-    text.chars().map(|c| u8::try_from(c).ok()).collect()
 }

@@ -4,6 +4,12 @@ use super::array::{Array, objects};
 use super::graph::{Class, Graph, Value};
 use super::machine;
 
+/// A sweep has some 170 000 returns; more rows than this are none.
+const MAX_ROWS: usize = 1 << 22;
+
+/// More columns than this are no table of returns.
+const MAX_COLUMNS: usize = 1 << 12;
+
 /// A DataFrame: named columns of numbers, all of one length.
 ///
 /// pandas keeps columns of one type together as the rows of a *block*; a *placement* says which columns these are.
@@ -24,6 +30,9 @@ impl<'a> DataFrame<'a> {
         let graph = machine::run(pickle)?;
         let (columns, blocks) = layout(&graph).ok_or("holds no pandas DataFrame of a known layout")?;
         let names = names(&graph, columns).ok_or("the names of the columns have an unknown layout")?;
+        if names.len() > MAX_COLUMNS {
+            return Err(format!("{} columns: no scan has more than {MAX_COLUMNS}", names.len()));
+        }
         let mut frame = Self {
             places: vec![None; names.len()],
             names,
@@ -42,6 +51,11 @@ impl<'a> DataFrame<'a> {
             && block.rows != columns
         {
             return Err(format!("a block of {} rows for {columns} columns", block.rows));
+        }
+        if let Ok(block) = &block
+            && block.len > MAX_ROWS
+        {
+            return Err(format!("{} rows: no scan has more than {MAX_ROWS}", block.len));
         }
         if let (Ok(new), Some(Ok(known))) = (&block, self.blocks.iter().find(|b| b.is_ok()))
             && new.len != known.len
@@ -124,6 +138,7 @@ fn arrow_names<'a>(graph: &Graph<'a>, array: Value<'a>) -> Option<Vec<Option<&'a
     let &[_, len, _, Value::Int(0), buffers, ..] = graph.entries(graph.entry(args, 0)?)? else {
         return None;
     };
+    let len = len.count().filter(|&len| len <= MAX_COLUMNS)?;
     let buffer = |i: usize| {
         let (args, _) = graph.object_of(graph.entry(buffers, i)?, Class::ArrowBuffer)?;
         match graph.entry(args, 0)? {
@@ -132,10 +147,10 @@ fn arrow_names<'a>(graph: &Graph<'a>, array: Value<'a>) -> Option<Vec<Option<&'a
         }
     };
     let (offsets, text) = (buffer(1)?, buffer(2)?);
-    let offsets: Vec<usize> = (offsets.as_chunks().0.iter())
+    let ends = offsets.as_chunks().0.get(..=len)?.iter();
+    let ends: Vec<usize> = ends
         .map(|&b| u64::from_le_bytes(b).try_into().ok())
         .collect::<Option<_>>()?;
-    let ends = offsets.get(..len.count()?.checked_add(1)?)?;
     let names = ends.windows(2).map(|w| match *w {
         [from, to] => Some(std::str::from_utf8(text.get(from..to)?).ok()),
         _ => None,

@@ -1,7 +1,7 @@
 //! What a pickle describes: plain values, containers, and objects that were never made.
 
-use super::array::latin1;
-use std::borrow::Cow;
+use std::ops::Deref;
+use std::rc::Rc;
 
 /// The classes and functions of a pickled DataFrame. Two that are read alike share an entry.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,6 +78,8 @@ pub(super) enum Node<'a> {
     Tuple(Vec<Value<'a>>),
     List(Vec<Value<'a>>),
     Dict(Vec<(Value<'a>, Value<'a>)>),
+    /// Bytes that protocol 2 writes as text, to be encoded as Latin-1.
+    Encoded(Rc<[u8]>),
     /// What Python would have made by calling `class(*args)` and then setting `state`.
     Object {
         class: Class,
@@ -138,15 +140,30 @@ impl<'a> Graph<'a> {
         (class == wanted).then_some((args, state))
     }
 
-    /// Bytes, also in the form that protocol 2 gives them: text to be encoded as Latin-1.
-    pub(super) fn bytes(&self, value: Value<'a>) -> Option<Cow<'a, [u8]>> {
-        if let Value::Bytes(bytes) = value {
-            return Some(Cow::Borrowed(bytes));
-        }
-        let (args, _) = self.object_of(value, Class::Encode)?;
-        match self.entries(args)? {
-            [Value::Str(text), Value::Str("latin1")] => latin1(text).map(Cow::Owned),
+    /// Bytes, however they were written.
+    pub(super) fn bytes(&self, value: Value<'a>) -> Option<Bytes<'a>> {
+        match (value, self.node(value)) {
+            (Value::Bytes(bytes), _) => Some(Bytes::InPickle(bytes)),
+            (_, Some(Node::Encoded(bytes))) => Some(Bytes::Encoded(Rc::clone(bytes))),
             _ => None,
+        }
+    }
+}
+
+/// Bytes in the pickle, or decoded from its text.
+#[derive(Debug)]
+pub(super) enum Bytes<'a> {
+    InPickle(&'a [u8]),
+    Encoded(Rc<[u8]>),
+}
+
+impl Deref for Bytes<'_> {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Self::InPickle(bytes) => bytes,
+            Self::Encoded(bytes) => bytes,
         }
     }
 }

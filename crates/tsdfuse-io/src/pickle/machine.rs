@@ -22,6 +22,7 @@ pub(super) fn run(input: &[u8]) -> Result<Graph<'_>, String> {
         marks: Vec::new(),
         memo: HashMap::new(),
         nodes: Vec::new(),
+        encoded: 0,
     };
     for _ in 0..MAX_OPERATIONS {
         let start = machine.at;
@@ -60,6 +61,8 @@ struct Machine<'a> {
     marks: Vec<usize>,
     memo: HashMap<u32, Value<'a>>,
     nodes: Vec<Node<'a>>,
+    /// Bytes made from text so far.
+    encoded: usize,
 }
 
 impl<'a> Machine<'a> {
@@ -261,8 +264,33 @@ impl<'a> Machine<'a> {
             _ => None,
         };
         let class = class.ok_or(Fault::At("calls what is no class"))?;
+        if class == Class::Encode {
+            return self.encode(args);
+        }
         let state = Value::None;
         Ok(self.node(Node::Object { class, args, state }))
+    }
+
+    /// Bytes from Latin-1 text; not more in all than there is text, so that none is copied again and again.
+    fn encode(&mut self, args: Value<'a>) -> Step<Value<'a>> {
+        let text = match args {
+            Value::Node(n) => match self.nodes.get(n) {
+                Some(Node::Tuple(args)) => match *args.as_slice() {
+                    [Value::Str(text), Value::Str("latin1")] => Some(text),
+                    _ => None,
+                },
+                _ => None,
+            },
+            _ => None,
+        };
+        let text = text.ok_or(Fault::At("encodes what is no Latin-1 text"))?;
+        self.encoded += text.len();
+        if self.encoded > self.input.len() {
+            return Err(Fault::At("encodes the same text again and again"));
+        }
+        let bytes: Option<_> = text.chars().map(|c| u8::try_from(c).ok()).collect();
+        let bytes = bytes.ok_or(Fault::At("encodes what is no Latin-1 text"))?;
+        Ok(self.node(Node::Encoded(bytes)))
     }
 
     /// The function that `functools.partial` holds.

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use super::machine;
 use super::*;
 
-/// The small pickles of `testdata/pickle/make.py`: one table, as seven versions of pandas store it.
+/// The small pickles of `testdata/pickle/make.py`: one table, as six versions of pandas store it.
 fn stored() -> Vec<(String, Vec<u8>)> {
     let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("testdata/pickle");
     let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
@@ -257,6 +257,38 @@ fn stack_and_memo_stay_bounded() {
     }
     // A list that holds itself, as the table's columns.
     assert!(machine::run(b"\x80\x02]q\x00h\x00a.").is_ok());
+}
+
+#[test]
+fn memory_follows_the_bytes_that_are_there() {
+    // One long text, encoded twice.
+    let text = [b"X".as_slice(), &1000_u32.to_le_bytes(), &[b'a'; 1000]].concat();
+    let encode = b"h\x00h\x01X\x06\x00\x00\x00latin1\x86R".as_slice();
+    let start = [b"\x80\x02c_codecs\nencode\nq\x00", text.as_slice(), b"q\x01"].concat();
+    assert!(machine::run(&[&start, encode, b"."].concat()).is_ok());
+    assert!(reason(&[&start, encode, encode, b"."].concat()).ends_with("encodes the same text again and again"));
+    assert!(
+        reason(b"\x80\x02c_codecs\nencode\nX\x01\x00\x00\x00aX\x03\x00\x00\x00hex\x86R.").ends_with("no Latin-1 text")
+    );
+
+    // Columns of one byte a number would grow eightfold.
+    let good = stored_as("pandas2.3_p5.pkl");
+    let long = [&[0x96], (1_u64 << 23).to_le_bytes().as_slice(), &vec![0; 1 << 23]].concat();
+    let at = good
+        .windows(9)
+        .position(|w| w == [&[0x96], 56_u64.to_le_bytes().as_slice()].concat())
+        .unwrap();
+    let mut long = [&good[..at], &long, &good[at + 9 + 56..]].concat();
+    long = patched(&long, b"\x8c\x02i8", b"\x8c\x02i1");
+    long = patched(&long, b"K\x01K\x07\x86", b"K\x01J\x00\x00\x80\x00\x86");
+    assert_eq!(reason(&long), "8388608 rows: no scan has more than 4194304");
+
+    let names = patched(
+        &stored_as("pandas3.0_arrow_p5.pkl"),
+        b"K\x06K\x00K\x00",
+        b"J\x06\x00\x00\x10K\x00K\x00",
+    );
+    assert_eq!(reason(&names), "the names of the columns have an unknown layout");
 }
 
 #[test]

@@ -3,18 +3,23 @@
 //! What stands on the ground reaches a little below it, so that nothing floats on a slope.
 
 mod building;
+mod fixtures;
 mod furniture;
+mod goods;
 mod parts;
 mod plants;
 mod vehicles;
-mod warehouse;
 
 pub(crate) use building::{Building, building};
+pub(crate) use fixtures::*;
 pub(crate) use furniture::*;
+pub(crate) use goods::*;
 pub(crate) use parts::{Opening, Parts, Rng, pick};
 pub(crate) use plants::{conifer, hedge, tree};
 pub(crate) use vehicles::{car, forklift, van};
-pub(crate) use warehouse::*;
+
+/// How deep things are set into a hall's floor, which is plane.
+const SUNK_M: f64 = 0.01;
 
 /// How deep things are set into the ground.
 pub(crate) const FOOTING_M: f64 = 0.15;

@@ -118,7 +118,7 @@ fn triangulate(outline: &[DVec2]) -> Vec<[DVec2; 3]> {
             let within = |p: &DVec2| {
                 ![a, b, c].contains(p) && left(a, b, *p) >= 0.0 && left(b, c, *p) >= 0.0 && left(c, a, *p) >= 0.0
             };
-            left(a, b, c) > 0.0 && !rest.iter().any(|p| within(p))
+            left(a, b, c) > 0.0 && !rest.iter().any(within)
         };
         // What has no ear left is a line.
         let Some(ear) = (0..n).find(is_ear) else { break };

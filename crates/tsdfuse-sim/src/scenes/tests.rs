@@ -6,24 +6,29 @@ use crate::primitive::{Aabb, Primitive};
 const SEEDS: [u64; 2] = [0, 7];
 
 /// A point in both solids, up to `slack`, by projecting on one and the other in turn; sure to be found where both are convex.
-fn touch((a, a_box): &(Primitive, Aabb), (b, b_box): &(Primitive, Aabb), slack: f64) -> bool {
+fn touch((a, a_box): &(&Primitive, Aabb), (b, b_box): &(&Primitive, Aabb), slack: f64) -> bool {
     let (low, high) = (a_box.min.max(b_box.min), a_box.max.min(b_box.max));
     if (low - high).max_element() > slack {
         return false;
     }
     [0.5, 0.1, 0.9].into_iter().any(|start| {
         let mut p = low.lerp(high, start);
-        (0..300).any(|_| {
+        let mut before = f64::INFINITY;
+        loop {
             let mut outside = 0.0_f64;
-            for solid in [a, b] {
+            for solid in [*a, *b] {
                 let d = solid.signed_distance(p);
                 outside = outside.max(d);
                 if d > 0.0 {
                     p -= d * gradient(solid, p);
                 }
             }
-            outside < slack
-        })
+            // Between solids that are apart the point goes to and fro.
+            if outside < slack || outside > before - 1e-5 {
+                return outside < slack;
+            }
+            before = outside;
+        }
     })
 }
 
@@ -35,18 +40,21 @@ fn gradient(solid: &Primitive, p: DVec3) -> DVec3 {
 
 /// Bounds of the parts that are not joined to the largest solid, the ground.
 fn floating(solids: &[Primitive]) -> Vec<Aabb> {
-    let mut loose: Vec<_> = solids.iter().map(|s| (s.clone(), s.bounds())).collect();
-    let volume = |(_, b): &(Primitive, Aabb)| (b.max - b.min).element_product();
-    let ground = (0..loose.len())
-        .max_by(|&i, &j| volume(&loose[i]).total_cmp(&volume(&loose[j])))
-        .unwrap();
-    let mut front = vec![loose.swap_remove(ground)];
+    let boxed: Vec<_> = solids.iter().map(|s| (s, s.bounds())).collect();
+    let volume = |i: &usize| (boxed[*i].1.max - boxed[*i].1.min).element_product();
+    let mut loose: Vec<usize> = (0..boxed.len()).collect();
+    loose.sort_by(|i, j| volume(i).total_cmp(&volume(j)));
+    let mut front: Vec<usize> = loose.pop().into_iter().collect();
     while let Some(joined) = front.pop() {
-        let (touching, rest) = loose.into_iter().partition(|s| touch(&joined, s, 2e-3));
-        loose = rest;
-        front.extend::<Vec<_>>(touching);
+        loose.retain(|&i| {
+            let touches = touch(&boxed[joined], &boxed[i], 2e-3);
+            if touches {
+                front.push(i);
+            }
+            !touches
+        });
     }
-    loose.into_iter().map(|(_, bounds)| bounds).collect()
+    loose.into_iter().map(|i| boxed[i].1).collect()
 }
 
 #[test]
