@@ -4,8 +4,9 @@ use std::path::Path;
 
 use tsdfuse::Pose;
 
-use crate::error::Result;
-use crate::{files, poses, text};
+use crate::error::{Error, Result};
+use crate::text::{self, Line};
+use crate::{files, poses};
 
 /// `camera_from_velodyne`, if the folder has a `calib.txt` with a line `Tr`.
 pub(crate) fn in_folder(folder: &Path) -> Result<Option<Pose>> {
@@ -21,13 +22,30 @@ pub(crate) fn in_folder(folder: &Path) -> Result<Option<Pose>> {
 /// # Errors
 /// Names the file, the line and what is wrong with the numbers.
 pub fn parse(path: &Path, bytes: &[u8], name: &str) -> Result<Option<Pose>> {
-    for mut line in text::lines(path, bytes)? {
-        if let Some(numbers) = line.text.strip_prefix(name).and_then(|rest| rest.strip_prefix(':')) {
-            line.text = numbers;
-            return poses::matrix(&line, &line.numbers()?).map(Some);
-        }
-    }
-    Ok(None)
+    let line = entry(path, bytes, name)?;
+    line.map(|line| poses::matrix(&line, &line.numbers()?)).transpose()
+}
+
+/// Parses the transform of the lines `R:` and `T:`, as in `calib_imu_to_velo.txt`; `path` is for messages.
+///
+/// # Errors
+/// Names the file, and the line or what is wrong with the numbers.
+pub fn parse_rt(path: &Path, bytes: &[u8]) -> Result<Pose> {
+    let (Some(rotation), Some(translation)) = (entry(path, bytes, "R")?, entry(path, bytes, "T")?) else {
+        return Err(Error::format(path, "has no lines R and T"));
+    };
+    let (&[a, b, c, d, e, f, g, h, i], &[x, y, z]) = (&*rotation.numbers()?, &*translation.numbers()?) else {
+        return Err(rotation.error("R has 9 numbers and T has 3"));
+    };
+    poses::matrix(&rotation, &[a, b, c, x, d, e, f, y, g, h, i, z])
+}
+
+/// What follows `name:`.
+fn entry<'a>(path: &'a Path, bytes: &'a [u8], name: &str) -> Result<Option<Line<'a>>> {
+    Ok(text::lines(path, bytes)?.find_map(|line| {
+        let text = line.text.strip_prefix(name)?.strip_prefix(':')?;
+        Some(Line { text, ..line })
+    }))
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use tsdfuse::{Pose, Scan, SensorModel};
 
 use crate::error::{Error, Result};
+use crate::pandaset::PandaSet;
 use crate::read_ahead::{ReadAhead, Scans};
 
 /// How to open a data set; the default asks for nothing.
@@ -58,12 +59,24 @@ struct Format {
 /// All formats, the more particular ones first. A new format is one file and one entry here.
 const FORMATS: &[Format] = &[
     Format {
+        recognises: PandaSet::recognises,
+        open: |path, options| Ok(Box::new(PandaSet::open(path, options)?)),
+    },
+    Format {
+        recognises: crate::kitti_raw::recognises,
+        open: |path, options| Ok(Box::new(crate::kitti_raw::open(path, options)?)),
+    },
+    Format {
         recognises: crate::kitti::recognises,
         open: |path, options| Ok(Box::new(crate::kitti::open(path, options)?)),
     },
     Format {
         recognises: crate::plain::recognises,
         open: |path, options| Ok(Box::new(crate::plain::open(path, options)?)),
+    },
+    Format {
+        recognises: crate::clouds::recognises,
+        open: |path, options| Ok(Box::new(crate::clouds::open(path, options)?)),
     },
 ];
 

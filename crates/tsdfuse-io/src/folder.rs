@@ -24,7 +24,7 @@ use crate::dataset::{OpenOptions, ScanRef, Source};
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::poses::{self, Poses, Trajectory};
-use crate::{bin, calib, text, times};
+use crate::{bin, calib, pcd, ply, text, times};
 
 /// The longest time between two scans over which the sensor is taken to move steadily, seconds.
 pub const MAX_STEP_SECS: f64 = 1.0;
@@ -254,6 +254,8 @@ pub(crate) fn read_cloud(path: &Path) -> Result<Cloud> {
         .as_str()
     {
         "bin" => bin::parse(path, &bytes),
+        "pcd" => pcd::parse(path, &bytes),
+        "ply" => ply::parse_cloud(path, &bytes),
         other => Err(Error::format(path, format!("is no file of points: .{other}"))),
     }
 }

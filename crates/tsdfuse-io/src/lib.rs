@@ -9,18 +9,26 @@ pub mod bin;
 #[doc(hidden)]
 pub mod calib;
 mod cloud;
+pub mod clouds;
+pub mod columns;
 pub mod dataset;
 pub mod error;
 mod files;
 pub mod folder;
+pub mod glb;
 pub mod kitti;
+pub mod kitti_raw;
 pub mod mesh;
+pub mod obj;
 pub mod pandaset;
+#[doc(hidden)]
+pub mod pcd;
 mod pickle;
 pub mod plain;
 pub mod ply;
 pub mod poses;
 pub mod read_ahead;
+mod scalar;
 mod text;
 #[doc(hidden)]
 pub mod times;

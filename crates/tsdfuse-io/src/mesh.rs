@@ -6,9 +6,9 @@ use std::path::Path;
 use tsdfuse::Mesh;
 
 use crate::error::{Error, Result};
-use crate::ply;
+use crate::{glb, obj, ply};
 
-/// Writes a mesh as `.ply`, or to standard output as PLY if `path` is `-`. A file appears when it is complete.
+/// Writes a mesh as `.ply`, `.glb` or `.obj`, or to standard output as PLY if `path` is `-`. A file appears when it is complete.
 ///
 /// # Errors
 /// Names the file and what the system says; also for other extensions.
@@ -28,6 +28,30 @@ pub fn write(path: impl AsRef<Path>, mesh: &Mesh) -> Result<()> {
         .as_str()
     {
         "ply" => ply::write(path, mesh),
-        _ => Err(Error::dataset(path, "a mesh is written as .ply")),
+        "glb" => glb::write(path, mesh),
+        "obj" => obj::write(path, mesh),
+        _ => Err(Error::dataset(path, "a mesh is written as .ply, .glb or .obj")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_extension_chooses_the_format() {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, start) in [("a.ply", "ply\n"), ("a.GLB", "glTF"), ("a.obj", "# tsdfuse")] {
+            let path = dir.path().join(name);
+            write(&path, &Mesh::default()).unwrap();
+            assert!(std::fs::read(&path).unwrap().starts_with(start.as_bytes()), "{name}");
+        }
+        let refused = write(dir.path().join("a.stl"), &Mesh::default())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            refused.ends_with("a.stl: a mesh is written as .ply, .glb or .obj"),
+            "{refused}"
+        );
     }
 }

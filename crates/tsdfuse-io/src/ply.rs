@@ -1,5 +1,19 @@
 //! PLY, the Stanford polygon format: meshes are written and read, point clouds are read.
+//!
+//! Read are `ascii`, `binary_little_endian` and `binary_big_endian` with any elements in any order. A point cloud's
+//! `vertex` properties mean what [`columns`](crate::columns) says; of a mesh, positions, normals and faces are read, faces
+//! with more than three corners as fans of triangles.
 
+mod body;
+mod cloud;
+mod header;
+mod mesh;
 mod write;
 
+pub use cloud::parse as parse_cloud;
+pub use mesh::{parse as parse_mesh, read as read_mesh};
+pub(crate) use write::{has_normals, in_chunks};
 pub use write::{write, write_to};
+
+#[cfg(test)]
+mod tests;
