@@ -114,7 +114,8 @@ impl Receiver<'_> {
         let reflectivity = self.scene.primitives()[hit.primitive].reflectivity();
         Some(Echo {
             range_m: hit.range_m,
-            albedo: reflectivity * -hit.normal.dot(direction),
+            // Never nothing: echoes are weighted by it.
+            albedo: (reflectivity * -hit.normal.dot(direction)).max(1e-6),
         })
     }
 }
