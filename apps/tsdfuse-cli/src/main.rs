@@ -1,2 +1,40 @@
-//! The tsdfuse command.
-fn main() {}
+//! The `tsdfuse` command: LiDAR log in, surface out. It translates; the work is done by the libraries.
+
+mod config;
+mod exit;
+mod fuse;
+mod info;
+mod progress;
+mod report;
+mod simulate;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Dense 3D reconstruction from LiDAR: scans and poses in, a surface out.
+#[derive(Debug, Parser)]
+#[command(version, after_help = exit::CODES, arg_required_else_help = true, max_term_width = 110)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Fuse(Box<fuse::Args>),
+    Simulate(simulate::Args),
+    Info(info::Args),
+}
+
+fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return exit::not_parsed(&error),
+    };
+    exit::code(match &cli.command {
+        Command::Fuse(args) => fuse::run(args),
+        Command::Simulate(args) => simulate::run(args),
+        Command::Info(args) => info::run(args),
+    })
+}

@@ -1,0 +1,199 @@
+//! What a run is told: defaults < `--config` file < `--set` < flags, resolved into one [`RunConfig`].
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+use tsdfuse::fuse::{FuseConfig, Method, RaycastConfig};
+use tsdfuse::mesh::MeshConfig;
+use tsdfuse::scan::RangeLimits;
+use tsdfuse::{MapConfig, SensorModel};
+
+use crate::exit::Usage;
+
+/// Everything that decides the result of `tsdfuse fuse`, beside the data.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct RunConfig {
+    /// How scans are fused.
+    pub(crate) method: Method,
+    /// The voxels.
+    pub(crate) map: MapConfig,
+    /// Which ranges are measurements. Unless it is set, the longest is the sensor's, where that is known.
+    pub(crate) range: RangeLimits,
+    /// Options of the method `raycast`.
+    pub(crate) raycast: RaycastConfig,
+    /// What becomes surface.
+    pub(crate) mesh: MeshConfig,
+}
+
+impl RunConfig {
+    /// The options of all methods.
+    pub(crate) fn methods(&self) -> FuseConfig {
+        FuseConfig { raycast: self.raycast }
+    }
+
+    fn validate(&self) -> Result<(), Usage> {
+        self.map.validate().map_err(Usage::new)?;
+        let RangeLimits {
+            min_range_m,
+            max_range_m,
+        } = self.range;
+        // Also false for NaN.
+        if !(min_range_m >= 0.0 && min_range_m < max_range_m) {
+            return Err(Usage::new(format_args!(
+                "no range is between min_range_m = {min_range_m} and max_range_m = {max_range_m}"
+            )));
+        }
+        let min_weight = self.mesh.min_weight;
+        if !(min_weight >= 0.0 && min_weight.is_finite()) {
+            return Err(Usage::new(format_args!(
+                "min_weight must be 0 or more, not {min_weight}"
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// Settings, those set later going before those set earlier.
+#[derive(Debug, Default)]
+pub(crate) struct Layers(Table);
+
+impl Layers {
+    /// Settings from a TOML file; the first ones.
+    pub(crate) fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Usage::new(format_args!("{}: {e}", path.display())))?;
+        let wrong = |error: toml::de::Error| {
+            let before = text
+                .get(..error.span().map_or(0, |span| span.start))
+                .unwrap_or_default();
+            let line = before.matches('\n').count() + 1;
+            let reason = error.message().replace('\n', " ");
+            Usage::new(format_args!("{}: line {line}: {reason}", path.display()))
+        };
+        toml::from_str::<RunConfig>(&text).map_err(&wrong)?;
+        Ok(Self(toml::from_str(&text).map_err(&wrong)?))
+    }
+
+    /// Sets what a dotted key names; `flag` is for messages.
+    pub(crate) fn set(&mut self, flag: &str, key: &str, value: impl Into<Value>) -> Result<()> {
+        let wrong = |reason: &str| Usage::new(format_args!("{flag}: {}", reason.trim().replace('\n', " ")));
+        let (sections, name) = key.rsplit_once('.').unwrap_or(("", key));
+        let mut table = &mut self.0;
+        for section in sections.split('.').filter(|s| !s.is_empty()) {
+            let entry = table.entry(section).or_insert_with(|| Table::new().into());
+            let reason = format!("{section} is a value, not a section");
+            table = entry.as_table_mut().ok_or_else(|| wrong(&reason))?;
+        }
+        table.insert(name.to_owned(), value.into());
+        RunConfig::deserialize(Value::Table(self.0.clone())).map_err(|e| wrong(e.message()))?;
+        Ok(())
+    }
+
+    /// Sets `key=value` as it stands on the command line: the value is TOML, or else text.
+    pub(crate) fn set_text(&mut self, setting: &str) -> Result<()> {
+        let (key, value) = setting.split_once('=').ok_or_else(|| {
+            Usage::new(format_args!(
+                "--set {setting}: key=value is wanted, as in map.voxel_size_m=0.1"
+            ))
+        })?;
+        let (key, value) = (key.trim(), value.trim());
+        let value = value.parse().unwrap_or_else(|_| Value::from(value));
+        self.set(&format!("--set {setting}"), key, value)
+    }
+
+    /// The whole configuration for the data of this sensor, checked.
+    pub(crate) fn resolve(self, sensor: Option<&SensorModel>) -> Result<RunConfig> {
+        let set = self.0.get("range").and_then(|range| range.get("max_range_m")).is_some();
+        let mut config: RunConfig = Value::Table(self.0).try_into().context("the configuration")?;
+        if let Some(sensor) = sensor.filter(|_| !set) {
+            config.range.max_range_m = sensor.max_range_m;
+        }
+        config.validate()?;
+        Ok(config)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(text: &str) -> Result<Layers> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("run.toml");
+        std::fs::write(&path, text).unwrap();
+        Layers::read(&path)
+    }
+
+    fn message<T>(result: Result<T>) -> String {
+        let error = result.err().unwrap();
+        assert!(error.is::<Usage>());
+        error.to_string()
+    }
+
+    #[test]
+    fn later_settings_go_before_earlier_ones() {
+        let mut layers = file("[map]\nvoxel_size_m = 0.1\ntruncation_m = 0.4\nmax_weight = 7").unwrap();
+        layers.set_text("map.truncation_m = 1").unwrap();
+        layers.set_text("raycast.distance=projective").unwrap();
+        layers.set("--voxel-size", "map.voxel_size_m", 0.25).unwrap();
+        let config = layers.resolve(None).unwrap();
+        assert_eq!(
+            (config.map.voxel_size_m, config.map.truncation_m, config.map.max_weight),
+            (0.25, 1.0, 7.0)
+        );
+        assert_eq!(config.raycast.distance, tsdfuse::fuse::Distance::Projective);
+        assert_eq!(config.range, RangeLimits::default());
+    }
+
+    #[test]
+    fn the_longest_range_is_the_sensors_unless_it_is_set() {
+        let sensor = tsdfuse::sensor::model("vlp16").unwrap();
+        let of = |setting: Option<&str>| {
+            let mut layers = Layers::default();
+            setting.into_iter().for_each(|s| layers.set_text(s).unwrap());
+            layers.resolve(Some(&sensor)).unwrap().range.max_range_m
+        };
+        assert_eq!(of(None), sensor.max_range_m);
+        assert_eq!(of(Some("range.min_range_m=1")), sensor.max_range_m);
+        assert_eq!(of(Some("range.max_range_m=30")), 30.0);
+    }
+
+    #[test]
+    fn wrong_keys_and_values_are_named_with_what_is_possible() {
+        let set = |setting: &str| message(Layers::default().set_text(setting));
+        let told = set("map.voxel=0.1");
+        assert!(
+            told.starts_with("--set map.voxel=0.1: unknown field `voxel`, expected one of `voxel_size_m`"),
+            "{told}"
+        );
+        assert!(set("colour=red").contains("unknown field `colour`, expected one of `method`, `map`"));
+        assert!(set("method=magic").contains("unknown variant `magic`, expected"));
+        assert!(set("map.voxel_size_m=big").contains("invalid type: string \"big\", expected f64"));
+        assert!(set("map=3").contains("invalid type"));
+        assert!(set("map").contains("key=value is wanted"));
+        let mut layers = Layers::default();
+        layers.set_text("method=raycast").unwrap();
+        assert!(message(layers.set_text("method.x=1")).contains("method is a value, not a section"));
+        let told = message(file("method = \"raycast\"\n\n[map]\nvoxel = 1"));
+        assert!(
+            told.contains("run.toml: line 4: unknown field `voxel`, expected one of"),
+            "{told}"
+        );
+        assert!(message(file("[map")).contains("run.toml: line 1: "));
+    }
+
+    #[test]
+    fn values_without_sense_are_refused() {
+        let resolved = |setting: &str| {
+            let mut layers = Layers::default();
+            layers.set_text(setting).unwrap();
+            message(layers.resolve(None))
+        };
+        assert!(resolved("map.voxel_size_m=-1").contains("voxel_size_m"));
+        assert!(resolved("range.max_range_m=0.1").contains("max_range_m = 0.1"));
+        assert!(resolved("range.min_range_m=nan").contains("min_range_m = NaN"));
+        assert!(resolved("mesh.min_weight=-1").contains("min_weight"));
+    }
+}

@@ -1,0 +1,103 @@
+//! How a run ends: exit codes, and errors as one line.
+
+use std::fmt::{self, Display};
+use std::io;
+use std::process::ExitCode;
+
+use crate::progress::say;
+
+/// What the exit codes mean, for `--help`.
+pub(crate) const CODES: &str = "\
+Exit codes: 0 the result is complete, 1 something failed and nothing was written, 2 the command line or the \
+configuration is wrong, 3 the result is there but scans were skipped.";
+
+/// How a run that did not fail ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Outcome {
+    /// Nothing is missing.
+    Complete,
+    /// Some scans could not be used; they were named.
+    ScansSkipped,
+}
+
+/// The command line or the configuration asks for what cannot be.
+#[derive(Debug)]
+pub(crate) struct Usage(String);
+
+impl Usage {
+    /// Says what is wrong.
+    pub(crate) fn new(what: impl Display) -> Self {
+        Self(what.to_string())
+    }
+}
+
+impl Display for Usage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Usage {}
+
+/// Reports what went wrong, if anything did, and gives the exit code.
+pub(crate) fn code(result: anyhow::Result<Outcome>) -> ExitCode {
+    match result {
+        Ok(Outcome::Complete) => ExitCode::SUCCESS,
+        Ok(Outcome::ScansSkipped) => ExitCode::from(3),
+        // Who closed the pipe knows.
+        Err(error) if is_broken_pipe(&error) => ExitCode::from(1),
+        Err(error) => {
+            say(format_args!("tsdfuse: error: {}", one_line(&error)));
+            ExitCode::from(if error.is::<Usage>() { 2 } else { 1 })
+        }
+    }
+}
+
+/// Prints the help or version that was asked for, or says in one line what is wrong with the arguments.
+pub(crate) fn not_parsed(error: &clap::Error) -> ExitCode {
+    use clap::error::ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
+    if !error.use_stderr() || error.kind() == DisplayHelpOnMissingArgumentOrSubcommand {
+        let code = if error.use_stderr() { 2 } else { 0 };
+        // A closed pipe is nobody's mistake.
+        let _ = error.print();
+        return ExitCode::from(code);
+    }
+    let text = error.render().to_string();
+    let told = text
+        .lines()
+        .map(str::trim)
+        .filter(|line| !line.is_empty() && !line.starts_with("Usage:") && !line.starts_with("For more information"));
+    let told: Vec<_> = told.collect();
+    say(format_args!("tsdfuse: {}", told.join(" ")));
+    ExitCode::from(2)
+}
+
+/// An error and its causes, each told once.
+pub(crate) fn one_line(error: &anyhow::Error) -> String {
+    let mut line = String::new();
+    for cause in error.chain().map(|cause| cause.to_string().replace('\n', " ")) {
+        if !line.ends_with(&cause) {
+            line += if line.is_empty() { "" } else { ": " };
+            line += &cause;
+        }
+    }
+    line
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    let mut causes = error.chain().filter_map(|cause| cause.downcast_ref::<io::Error>());
+    causes.any(|cause| cause.kind() == io::ErrorKind::BrokenPipe)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use anyhow::Context;
+
+    #[test]
+    fn causes_are_told_once_and_in_one_line() {
+        let io = tsdfuse_io::Error::io("a.bin")(io::Error::other("disk\nfull"));
+        let error = Err::<(), _>(io).context("scan 3").unwrap_err();
+        assert_eq!(one_line(&error), "scan 3: a.bin: disk full");
+    }
+}

@@ -1,0 +1,333 @@
+//! `tsdfuse info`: what lies in a data set.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use glam::DVec3;
+use indicatif::HumanCount;
+use serde::Serialize;
+use tsdfuse::scan::{Dropped, RangeLimits};
+use tsdfuse::{Scan, SensorModel};
+use tsdfuse_io::{Dataset, ScanRef};
+
+use crate::exit::{Outcome, one_line};
+use crate::progress;
+use crate::report::{print_json, reasons};
+
+const EXAMPLES: &str = "\
+Examples:
+  tsdfuse info pandaset/002
+  tsdfuse info kitti/sequences/00 --sample 200 --json";
+
+/// Say what lies in a data set: format, sensor, scans, points, extent.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Args {
+    /// The data set's folder.
+    dataset: PathBuf,
+    /// How many scans are read, spread evenly over all.
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    sample: u32,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What lies in a data set.
+#[derive(Debug, Serialize)]
+struct Info {
+    path: PathBuf,
+    format: &'static str,
+    scans: usize,
+    sensor: Option<SensorModel>,
+    /// Whether the sensor's model was guessed from a scan.
+    sensor_guessed: bool,
+    /// Median rate of the scans.
+    rate_hz: Option<f64>,
+    /// From the first scan to the last.
+    duration_secs: Option<f64>,
+    /// Length of the line through all poses.
+    path_length_m: f64,
+    /// What the scans that were read have in them.
+    sample: Sample,
+    /// What is missing or odd.
+    notes: Vec<String>,
+}
+
+/// What a part of the scans has in it.
+#[derive(Debug, Default, Serialize)]
+struct Sample {
+    /// Scans that were read.
+    scans: usize,
+    /// Scans that could not be read, with the reason.
+    unreadable: Vec<String>,
+    points: Points,
+    /// Points that measure nothing, or belong to another sensor of the log.
+    invalid: Dropped,
+    /// The corners of the box around all points, world, metres.
+    extent_m: Option<[DVec3; 2]>,
+    /// How many of the scans have the laser of each point.
+    with_rings: usize,
+    /// How many have the time of each point.
+    with_times: usize,
+    /// How many say how the sensor moved meanwhile.
+    with_motion: usize,
+    /// How many have intensities.
+    with_intensities: usize,
+}
+
+/// Points of a scan, invalid ones included.
+#[derive(Debug, Default, Serialize)]
+struct Points {
+    min: u64,
+    mean: f64,
+    max: u64,
+}
+
+pub(crate) fn run(args: &Args) -> Result<Outcome> {
+    let dataset = tsdfuse_io::open(&args.dataset)?;
+    let mut info = Info {
+        path: args.dataset.clone(),
+        format: dataset.format(),
+        scans: dataset.len(),
+        sensor: dataset.sensor(),
+        sensor_guessed: false,
+        rate_hz: rate_hz(dataset.scans()),
+        duration_secs: duration_secs(dataset.scans()),
+        path_length_m: path_length_m(dataset.scans()),
+        sample: Sample::default(),
+        notes: dataset.notes().to_vec(),
+    };
+    info.read(&dataset, args.sample as usize)?;
+    if args.json {
+        print_json(&info)?
+    } else {
+        info.print()?
+    }
+    Ok(if info.sample.unreadable.is_empty() {
+        Outcome::Complete
+    } else {
+        Outcome::ScansSkipped
+    })
+}
+
+impl Info {
+    /// Reads up to `count` scans, spread evenly.
+    fn read(&mut self, dataset: &Dataset, count: usize) -> Result<()> {
+        let count = count.min(dataset.len());
+        let indices: Vec<_> = (0..count).map(|i| i * dataset.len() / count).collect();
+        let bar = progress::scans("reading", count);
+        for read in dataset.iter_indices(indices) {
+            match read.scan {
+                Ok(scan) => {
+                    if self.sensor.is_none() && self.sample.scans == 0 {
+                        self.sensor = tsdfuse::sensor::guess(&scan.points, scan.rings.as_deref());
+                        self.sensor_guessed = self.sensor.is_some();
+                    }
+                    self.sample.add(scan);
+                }
+                Err(error) => self.sample.unreadable.push(one_line(&error.into())),
+            }
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        match self.sample.unreadable.first() {
+            Some(reason) if self.sample.scans == 0 => bail!("no scan can be read: {reason}"),
+            _ => Ok(()),
+        }
+    }
+
+    fn print(&self) -> Result<()> {
+        let mut rows = Rows::default();
+        let sample = &self.sample;
+        rows.add("data set", format!("{} ({})", self.path.display(), self.format));
+        rows.add("sensor", self.sensor_line());
+        rows.add("scans", self.scans_line());
+        rows.add("path", format!("{:.1} m", self.path_length_m));
+        let read = match sample.scans {
+            n if n == self.scans => "all scans".to_owned(),
+            n => format!("{n} of {} scans", self.scans),
+        };
+        let Points { min, mean, max } = &sample.points;
+        let (min, max) = (HumanCount(*min), HumanCount(*max));
+        let mean = HumanCount(mean.round() as u64);
+        rows.add(
+            "points",
+            format!("{min} to {max} a scan, {mean} on average ({read} read)"),
+        );
+        let invalid: Vec<_> = reasons(&sample.invalid)
+            .iter()
+            .map(|(reason, n)| format!("{} {reason}", HumanCount(*n)))
+            .collect();
+        rows.add(
+            "left out",
+            if invalid.is_empty() {
+                "none".to_owned()
+            } else {
+                invalid.join(", ")
+            },
+        );
+        if let Some([low, high]) = sample.extent_m {
+            rows.add("extent", extent_line(low, high));
+        }
+        let columns = [
+            ("rings", sample.with_rings),
+            ("times", sample.with_times),
+            ("motion", sample.with_motion),
+            ("intensities", sample.with_intensities),
+        ];
+        for (name, scans) in columns {
+            rows.add(
+                name,
+                match scans {
+                    0 => "no".to_owned(),
+                    n if n == sample.scans => "yes".to_owned(),
+                    n => format!("in {n} of {} scans", sample.scans),
+                },
+            );
+        }
+        self.notes.iter().for_each(|note| rows.add("note", note.clone()));
+        sample
+            .unreadable
+            .iter()
+            .for_each(|reason| rows.add("unreadable", reason.clone()));
+        rows.print()
+    }
+
+    fn sensor_line(&self) -> String {
+        let Some(sensor) = &self.sensor else {
+            return "not known".to_owned();
+        };
+        let low = sensor.elevations_deg.first().copied().unwrap_or_default();
+        let high = sensor.elevations_deg.last().copied().unwrap_or_default();
+        format!(
+            "{}{}: {} beams from {low:.1}° to {high:.1}°, {} columns, {} m to {} m",
+            sensor.name,
+            if self.sensor_guessed { ", guessed" } else { "" },
+            sensor.rings(),
+            sensor.columns,
+            sensor.min_range_m,
+            sensor.max_range_m
+        )
+    }
+
+    fn scans_line(&self) -> String {
+        let secs = self.duration_secs.map(|secs| format!(" in {secs:.2} s"));
+        let rate = self.rate_hz.map(|rate| format!(", {rate:.2} Hz"));
+        let timed = secs.unwrap_or_else(|| ", without times".to_owned());
+        format!("{}{timed}{}", self.scans, rate.unwrap_or_default())
+    }
+}
+
+impl Sample {
+    fn add(&mut self, mut scan: Scan) {
+        let points = scan.points.len() as u64 + scan.dropped.total();
+        let Points { min, mean, max } = self.points;
+        let before = self.scans as f64;
+        self.points = Points {
+            min: if self.scans == 0 { points } else { min.min(points) },
+            mean: (mean * before + points as f64) / (before + 1.0),
+            max: max.max(points),
+        };
+        self.scans += 1;
+        self.with_rings += usize::from(scan.rings.is_some());
+        self.with_times += usize::from(scan.times.is_some());
+        self.with_motion += usize::from(scan.motion.is_some());
+        self.with_intensities += usize::from(scan.intensities.is_some());
+        scan.drop_invalid(&RangeLimits {
+            min_range_m: 0.0,
+            max_range_m: f32::INFINITY,
+        });
+        self.invalid += scan.dropped;
+        for point in points_in_world(&scan) {
+            let [low, high] = self.extent_m.unwrap_or([point; 2]);
+            self.extent_m = Some([low.min(point), high.max(point)]);
+        }
+    }
+}
+
+/// All points, each placed from where the sensor was when it measured it.
+fn points_in_world(scan: &Scan) -> impl Iterator<Item = DVec3> + '_ {
+    let trajectory = scan.trajectory();
+    (0..).zip(&scan.points).map(move |(i, point): (usize, _)| {
+        let secs = scan.times.as_ref().and_then(|times| times.get(i));
+        let pose = match (&trajectory, secs) {
+            (Some(trajectory), Some(&secs)) => trajectory.at(f64::from(secs)),
+            _ => scan.pose,
+        };
+        pose.transform_point(point.as_dvec3())
+    })
+}
+
+fn extent_line(low: DVec3, high: DVec3) -> String {
+    let sides = (0..3).map(|axis| format!("{} {:.1} to {:.1}", ["x", "y", "z"][axis], low[axis], high[axis]));
+    let size = high - low;
+    let sides: Vec<_> = sides.collect();
+    format!(
+        "{:.1} x {:.1} x {:.1} m: {} m",
+        size.x,
+        size.y,
+        size.z,
+        sides.join(", ")
+    )
+}
+
+fn path_length_m(scans: &[ScanRef]) -> f64 {
+    let steps = scans.iter().zip(scans.iter().skip(1));
+    steps
+        .map(|(a, b)| a.pose.translation.distance(b.pose.translation))
+        .sum()
+}
+
+fn duration_secs(scans: &[ScanRef]) -> Option<f64> {
+    Some(scans.last()?.timestamp_secs? - scans.first()?.timestamp_secs?)
+}
+
+/// The rate of most scans: of the median step.
+fn rate_hz(scans: &[ScanRef]) -> Option<f64> {
+    let steps = scans.iter().zip(scans.iter().skip(1));
+    let mut steps: Vec<f64> = steps
+        .filter_map(|(a, b)| Some(b.timestamp_secs? - a.timestamp_secs?))
+        .collect();
+    steps.sort_by(f64::total_cmp);
+    let median = steps.get(steps.len() / 2)?;
+    (*median > 0.0).then(|| 1.0 / median)
+}
+
+/// A table of two columns.
+#[derive(Default)]
+struct Rows(String);
+
+impl Rows {
+    fn add(&mut self, name: &str, value: String) {
+        self.0 += &format!("{name:<12}{value}\n");
+    }
+
+    fn print(&self) -> Result<()> {
+        use std::io::Write;
+        Ok(std::io::stdout().write_all(self.0.as_bytes())?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tsdfuse::Pose;
+
+    #[test]
+    fn the_rate_is_that_of_most_scans() {
+        let at = |secs: f64| ScanRef {
+            name: String::new(),
+            timestamp_secs: Some(secs),
+            pose: Pose {
+                translation: DVec3::X * secs * 10.0,
+                ..Pose::IDENTITY
+            },
+        };
+        let scans = [0.0, 0.125, 0.25, 0.375, 2.375].map(at);
+        assert_eq!(rate_hz(&scans), Some(8.0));
+        assert_eq!(duration_secs(&scans), Some(2.375));
+        assert!((path_length_m(&scans) - 23.75).abs() < 1e-9);
+        assert_eq!((rate_hz(&scans[..1]), duration_secs(&[])), (None, None));
+    }
+}

@@ -1,0 +1,39 @@
+//! What people see while they wait: bars on a terminal, and nothing in a pipe. All of it goes to standard error.
+
+use std::fmt::{Arguments, Display};
+use std::io::Write;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// Writes a line to standard error; if that is closed, nobody is there to be told.
+pub(crate) fn say(line: Arguments<'_>) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Writes a line about something odd.
+pub(crate) fn note(sentence: impl Display) {
+    say(format_args!("tsdfuse: note: {sentence}"));
+}
+
+/// A bar of `len` scans.
+pub(crate) fn scans(doing: &'static str, len: usize) -> ProgressBar {
+    styled(
+        ProgressBar::new(len as u64),
+        doing,
+        "{msg} {wide_bar} {pos}/{len} scans, {per_sec}, {eta} left",
+    )
+}
+
+/// A sign of life for work of unknown length.
+pub(crate) fn working(doing: &'static str) -> ProgressBar {
+    let bar = styled(ProgressBar::new_spinner(), doing, "{spinner} {msg} {elapsed}");
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar
+}
+
+fn styled(bar: ProgressBar, doing: &'static str, template: &str) -> ProgressBar {
+    // The default style where the template is not understood.
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    bar.with_style(style).with_message(doing)
+}

@@ -1,0 +1,263 @@
+//! What a run did, as `report.json` and as a few lines for people.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use indicatif::{BinaryBytes, HumanCount};
+use serde::Serialize;
+use tsdfuse::fuse::Skipped;
+use tsdfuse::scan::Dropped;
+use tsdfuse::{Mesh, SensorModel, VoxelMap};
+
+use crate::config::RunConfig;
+use crate::progress::say;
+
+/// Everything about one run of `tsdfuse fuse`. Times are seconds of wall time.
+#[derive(Debug, Serialize)]
+pub(crate) struct Report {
+    /// The program's version.
+    pub(crate) version: &'static str,
+    /// The arguments as they were given, the program's name first.
+    pub(crate) command_line: Vec<String>,
+    /// Threads that fused.
+    pub(crate) threads: usize,
+    /// What was read.
+    pub(crate) dataset: DatasetReport,
+    /// With what it was fused.
+    pub(crate) config: RunConfig,
+    /// Each scan that was fused.
+    pub(crate) scans: Vec<ScanReport>,
+    /// Each scan that could not be used.
+    pub(crate) skipped_scans: Vec<SkippedScan>,
+    /// Sums over all scans.
+    pub(crate) totals: Totals,
+    /// The map after the last scan.
+    pub(crate) map: MapReport,
+    /// The surface.
+    pub(crate) mesh: MeshReport,
+    /// The most memory that the process held, where the system tells.
+    pub(crate) peak_memory_bytes: Option<u64>,
+    /// From start to the finished mesh file.
+    pub(crate) wall_seconds: f64,
+}
+
+/// What was read.
+#[derive(Debug, Serialize)]
+pub(crate) struct DatasetReport {
+    pub(crate) path: PathBuf,
+    pub(crate) format: &'static str,
+    /// Scans there are, of which some were asked for.
+    pub(crate) scans: usize,
+    pub(crate) sensor: Option<SensorModel>,
+    /// Whether the sensor's model was guessed from a scan.
+    pub(crate) sensor_guessed: bool,
+    /// What is missing or odd.
+    pub(crate) notes: Vec<String>,
+}
+
+/// One scan: `points` are all that were in the file, each of them either fused, dropped or skipped.
+#[derive(Clone, Debug, Default, Serialize)]
+pub(crate) struct ScanReport {
+    pub(crate) name: String,
+    #[serde(flatten)]
+    pub(crate) sums: Sums,
+    /// Blocks of the map that were made or updated.
+    pub(crate) updated_blocks: usize,
+}
+
+/// What can be added over scans.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(crate) struct Sums {
+    /// Reading and decoding, in the background.
+    pub(crate) read: f64,
+    /// Leaving out invalid returns, placing the others, normals, ….
+    pub(crate) prepare: f64,
+    /// Updating the map.
+    pub(crate) fuse: f64,
+    pub(crate) points: u64,
+    pub(crate) fused: u64,
+    /// Not measurements.
+    pub(crate) dropped: Dropped,
+    /// Measurements that the method had no use for.
+    pub(crate) skipped: Skipped,
+}
+
+/// Sums over all scans.
+#[derive(Debug, Default, Serialize)]
+pub(crate) struct Totals {
+    pub(crate) scans: usize,
+    #[serde(flatten)]
+    pub(crate) sums: Sums,
+    /// From the first scan to the last, waiting for files included.
+    pub(crate) seconds: f64,
+}
+
+/// A scan that could not be used.
+#[derive(Debug, Serialize)]
+pub(crate) struct SkippedScan {
+    pub(crate) name: String,
+    pub(crate) reason: String,
+}
+
+/// The map after the last scan.
+#[derive(Debug, Default, Serialize)]
+pub(crate) struct MapReport {
+    pub(crate) blocks: usize,
+    pub(crate) observed_voxels: usize,
+    pub(crate) bytes: usize,
+}
+
+/// The surface.
+#[derive(Debug, Default, Serialize)]
+pub(crate) struct MeshReport {
+    pub(crate) path: PathBuf,
+    pub(crate) vertices: usize,
+    pub(crate) triangles: usize,
+    /// Extracting it.
+    pub(crate) seconds: f64,
+    /// Writing it.
+    pub(crate) write_seconds: f64,
+}
+
+impl std::ops::AddAssign<&Sums> for Sums {
+    fn add_assign(&mut self, other: &Self) {
+        self.read += other.read;
+        self.prepare += other.prepare;
+        self.fuse += other.fuse;
+        self.points += other.points;
+        self.fused += other.fused;
+        self.dropped += other.dropped;
+        self.skipped += other.skipped;
+    }
+}
+
+impl MapReport {
+    pub(crate) fn of(map: &VoxelMap) -> Self {
+        Self {
+            blocks: map.block_count(),
+            observed_voxels: map.observed_voxel_count(),
+            bytes: map.memory_bytes(),
+        }
+    }
+}
+
+impl MeshReport {
+    pub(crate) fn of(mesh: &Mesh, path: &Path, seconds: f64) -> Self {
+        Self {
+            path: path.to_owned(),
+            vertices: mesh.vertices.len(),
+            triangles: mesh.triangles.len(),
+            seconds,
+            write_seconds: 0.0,
+        }
+    }
+}
+
+impl Report {
+    /// Writes `report.json`, complete or not at all.
+    pub(crate) fn write(&self, path: &Path) -> Result<()> {
+        let mut text = serde_json::to_vec_pretty(self)?;
+        text.push(b'\n');
+        Ok(tsdfuse_io::atomic::write(path, |file| file.write_all(&text))?)
+    }
+
+    /// The few lines for people, on standard error.
+    pub(crate) fn summarize(&self) {
+        let Totals { scans, sums, seconds } = &self.totals;
+        let rate = *scans as f64 / seconds;
+        say(format_args!("{scans} scans fused in {seconds:.2} s, {rate:.1} scans/s"));
+        let (points, fused) = (HumanCount(sums.points), HumanCount(sums.fused));
+        say(format_args!("  points   {fused} of {points} fused{}", left_out(sums)));
+        let count = |n: usize| HumanCount(n as u64);
+        say(format_args!(
+            "  map      {} blocks, {} voxels observed, {}{}",
+            count(self.map.blocks),
+            count(self.map.observed_voxels),
+            BinaryBytes(self.map.bytes as u64),
+            self.peak_memory_bytes
+                .map_or(String::new(), |bytes| format!("; peak memory {}", BinaryBytes(bytes)))
+        ));
+        let (vertices, triangles) = (count(self.mesh.vertices), count(self.mesh.triangles));
+        say(format_args!("  mesh     {triangles} triangles, {vertices} vertices"));
+        say(format_args!(
+            "  seconds  read {:.2} (in the background), prepare {:.2}, fuse {:.2}, mesh {:.2}, write {:.2}; in all {:.2}",
+            sums.read, sums.prepare, sums.fuse, self.mesh.seconds, self.mesh.write_seconds, self.wall_seconds
+        ));
+        if self.mesh.path.as_os_str() != "-" {
+            say(format_args!("  wrote    {}", self.mesh.path.display()));
+        }
+    }
+}
+
+/// Returns that were not fused, by reason: `; 12 no return, 3 too near`.
+fn left_out(sums: &Sums) -> String {
+    let mut reasons = reasons(&sums.dropped);
+    reasons.extend(self::reasons(&sums.skipped));
+    let parts: Vec<_> = reasons
+        .iter()
+        .map(|(reason, n)| format!("{} {reason}", HumanCount(*n)))
+        .collect();
+    if parts.is_empty() {
+        String::new()
+    } else {
+        format!("; {}", parts.join(", "))
+    }
+}
+
+/// The counters that are not 0, by name.
+pub(crate) fn reasons(counters: &impl Serialize) -> BTreeMap<String, u64> {
+    // Counters are plain structs of numbers, which cannot fail to become JSON.
+    let counters = serde_json::to_value(counters).unwrap_or_default();
+    let counters = counters.as_object().into_iter().flatten();
+    counters
+        .filter_map(|(name, n)| Some((name.replace('_', " "), n.as_u64().filter(|&n| n > 0)?)))
+        .collect()
+}
+
+/// The most memory this process has held so far, where the system tells (Linux).
+pub(crate) fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.trim()
+        .strip_suffix("kB")?
+        .trim()
+        .parse::<u64>()
+        .ok()
+        .map(|kb| kb * 1024)
+}
+
+/// Prints a value as JSON on standard output.
+pub(crate) fn print_json(value: &impl Serialize) -> Result<()> {
+    let mut text = serde_json::to_vec_pretty(value)?;
+    text.push(b'\n');
+    std::io::stdout().write_all(&text).context("standard output")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_was_counted_is_told() {
+        let dropped = Dropped {
+            too_near: 3,
+            other_sensor: 1200,
+            ..Default::default()
+        };
+        let mut sums = Sums {
+            dropped,
+            ..Default::default()
+        };
+        assert_eq!(left_out(&sums), "; 1,200 other sensor, 3 too near");
+        sums.dropped = Dropped::default();
+        assert_eq!(left_out(&sums), "");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn linux_tells_the_peak_memory() {
+        assert!(peak_memory_bytes().unwrap() > 1 << 20);
+    }
+}

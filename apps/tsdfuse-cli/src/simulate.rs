@@ -1,0 +1,241 @@
+//! `tsdfuse simulate`: scans of a scene whose true surface is known.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use clap::builder::PossibleValuesParser;
+use glam::DVec3;
+use indicatif::HumanCount;
+use serde::Serialize;
+use tsdfuse_io::plain::Writer;
+use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
+
+use crate::exit::{Outcome, Usage};
+use crate::progress::{self, say};
+
+/// Largest distance between the true surface and `scene.ply`.
+const CHORD_M: f64 = 0.002;
+
+const EXAMPLES: &str = "\
+Examples:
+  tsdfuse simulate --scene street --scans 80 -o street
+  tsdfuse simulate --scene hall --sensor os0-128 --path handheld --motion -o hall
+  tsdfuse simulate --scene sphere --noise 0 --dropout 0 --grazing-loss off -o sphere";
+
+/// Simulate a LiDAR in a scene whose true surface is known.
+///
+/// Writes a folder that `tsdfuse fuse` reads (velodyne/, rings/, times/, poses.txt, sensor.toml, ...), the scene's true
+/// surface as scene.ply, and simulation.toml, which says how it was made. The same arguments give the same bytes.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Args {
+    /// What is scanned.
+    #[arg(long, value_parser = PossibleValuesParser::new(scene::names()))]
+    scene: String,
+    /// What scans.
+    #[arg(long, default_value = "pandar64", value_parser = PossibleValuesParser::new(tsdfuse::sensor::names()))]
+    sensor: String,
+    /// How many scans are made.
+    #[arg(long, value_name = "N", default_value_t = 80, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    scans: u32,
+    /// The folder to make; it may exist if it is empty.
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// How the sensor moves [default: vehicle in the street, drone in the hall, orbit around all else].
+    #[arg(long, value_parser = PossibleValuesParser::new(path::names()))]
+    path: Option<String>,
+    /// Standard deviation of the ranges, metres.
+    #[arg(long, value_name = "M", default_value_t = NoiseModel::default().range_sigma_m)]
+    noise: f64,
+    /// Probability that a return is lost for no reason.
+    #[arg(long, value_name = "P", default_value_t = NoiseModel::default().dropout)]
+    dropout: f64,
+    /// Whether echoes that are weak, from far away or at grazing incidence, are lost.
+    #[arg(long, value_name = "ON|OFF", default_value = "on", value_parser = PossibleValuesParser::new(["on", "off"]))]
+    grazing_loss: String,
+    /// Let the sensor move while it scans; every point gets its time.
+    #[arg(long)]
+    motion: bool,
+    /// Varies the scene and the noise.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Move everything by these metres, as to UTM coordinates.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_offset, allow_hyphen_values = true, default_value = "0,0,0")]
+    offset: DVec3,
+}
+
+/// How a sequence was made, for `simulation.toml`.
+#[derive(Debug, Serialize)]
+struct Made<'a> {
+    tsdfuse: &'a str,
+    scene: &'a str,
+    sensor: &'a str,
+    scans: u32,
+    path: &'a str,
+    offset_m: DVec3,
+    simulator: SimulatorConfig,
+}
+
+pub(crate) fn run(args: &Args) -> Result<Outcome> {
+    let start = Instant::now();
+    let simulator = simulator(args)?;
+    let folder = NewFolder::create(&args.output)?;
+    let points = write(args, &simulator, &folder.temporary)?;
+    folder.finish()?;
+    say(format_args!(
+        "{}: {} scans of {} with {}, {} points, {:.1} s",
+        args.output.display(),
+        args.scans,
+        args.scene,
+        args.sensor,
+        HumanCount(points),
+        start.elapsed().as_secs_f64()
+    ));
+    Ok(Outcome::Complete)
+}
+
+fn simulator(args: &Args) -> Result<Simulator> {
+    let scene = scene::by_name(&args.scene, args.seed).context("the scene cannot be built")?;
+    let scene = scene.translated(args.offset);
+    let sensor = tsdfuse::sensor::model(&args.sensor).context("the sensor is not known")?;
+    let scans = args.scans as usize;
+    let path = match &args.path {
+        Some(name) => path::by_name(name, &scene, scans).context("the path is not known")?,
+        None => path::default_for(&scene, scans),
+    };
+    Ok(Simulator::new(scene, sensor, path, config(args)).map_err(Usage::new)?)
+}
+
+fn config(args: &Args) -> SimulatorConfig {
+    let usual = NoiseModel::default();
+    SimulatorConfig {
+        noise: NoiseModel {
+            range_sigma_m: args.noise,
+            dropout: args.dropout,
+            weak_echo: if args.grazing_loss == "on" {
+                usual.weak_echo
+            } else {
+                0.0
+            },
+            ..usual
+        },
+        motion: args.motion,
+        seed: args.seed,
+        ..Default::default()
+    }
+}
+
+/// Writes all files; returns how many points there are.
+fn write(args: &Args, simulator: &Simulator, folder: &Path) -> Result<u64> {
+    let mut writer = Writer::create(folder)?;
+    writer.write_sensor(simulator.sensor())?;
+    let bar = progress::scans("simulating", args.scans as usize);
+    let mut points = 0;
+    for scan in simulator.scans() {
+        writer.write_scan(&scan)?;
+        points += scan.points.len() as u64;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    writer.finish()?;
+    tsdfuse_io::mesh::write(folder.join("scene.ply"), &simulator.scene().mesh(CHORD_M))?;
+    let made = Made {
+        tsdfuse: env!("CARGO_PKG_VERSION"),
+        scene: &args.scene,
+        sensor: &args.sensor,
+        scans: args.scans,
+        path: args.path.as_deref().unwrap_or("default"),
+        offset_m: args.offset,
+        simulator: config(args),
+    };
+    let file = folder.join("simulation.toml");
+    fs::write(&file, toml::to_string(&made)?).with_context(|| file.display().to_string())?;
+    Ok(points)
+}
+
+fn parse_offset(text: &str) -> Result<DVec3, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, z]) if DVec3::new(x, y, z).is_finite() => Ok(DVec3::new(x, y, z)),
+        _ => Err("three numbers with commas between them are wanted, as in 691000,5335000,520".to_owned()),
+    }
+}
+
+/// A folder that takes its name when it is complete, and vanishes if it never is.
+struct NewFolder {
+    temporary: PathBuf,
+    target: PathBuf,
+}
+
+impl NewFolder {
+    fn create(target: &Path) -> Result<Self> {
+        match fs::read_dir(target).map(|mut entries| entries.next().is_none()) {
+            Ok(true) => {}
+            Ok(false) => bail!("{}: is not empty; name a new folder", target.display()),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+            Err(e) => return Err(e).with_context(|| target.display().to_string()),
+        }
+        let Some(name) = target.file_name().map(OsStr::to_string_lossy) else {
+            bail!("{}: is no name for a new folder", target.display());
+        };
+        let temporary = target.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
+        fs::create_dir(&temporary).with_context(|| format!("{}: cannot be made", target.display()))?;
+        Ok(Self {
+            temporary,
+            target: target.to_owned(),
+        })
+    }
+
+    fn finish(self) -> Result<()> {
+        // Only an empty folder goes: not all systems put a folder in its place.
+        let removed = match fs::remove_dir(&self.target) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
+            _ => Ok(()),
+        };
+        removed
+            .and_then(|()| fs::rename(&self.temporary, &self.target))
+            .with_context(|| self.target.display().to_string())
+    }
+}
+
+impl Drop for NewFolder {
+    fn drop(&mut self) {
+        // Nothing to remove after the renaming.
+        let _ = fs::remove_dir_all(&self.temporary);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_offset_is_three_finite_numbers() {
+        assert_eq!(parse_offset("1, -2,3e5"), Ok(DVec3::new(1.0, -2.0, 3e5)));
+        for bad in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
+            assert!(parse_offset(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_folder_that_is_not_finished_vanishes() {
+        let dir = tempfile::tempdir().unwrap();
+        let target = dir.path().join("out");
+        let entries = || fs::read_dir(dir.path()).unwrap().count();
+        let folder = NewFolder::create(&target).unwrap();
+        fs::write(folder.temporary.join("half"), "x").unwrap();
+        drop(folder);
+        assert_eq!(entries(), 0);
+        fs::create_dir(&target).unwrap();
+        let folder = NewFolder::create(&target).unwrap();
+        fs::write(folder.temporary.join("whole"), "x").unwrap();
+        folder.finish().unwrap();
+        assert_eq!((entries(), target.join("whole").exists()), (1, true));
+        let error = NewFolder::create(&target).err().unwrap().to_string();
+        assert!(error.ends_with("out: is not empty; name a new folder"), "{error}");
+    }
+}
