@@ -1,27 +1,54 @@
 //! Holz and Behnke's estimator: a mesh of quads without long edges (5.4.1).
 
-use glam::Vec3;
+use std::f32::consts::PI;
 
-use super::{Cloud, Normal, unit_sum};
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{Cloud, Normal};
 use crate::sensor::approx::acos_f32;
 
 /// A face is a corner of a quad of returns: no smaller area, m², has a direction.
 const SMALLEST_AREA: f32 = 1e-12;
 
-/// The normal of a return, either side up; `None` if it belongs to no quad.
-pub(super) fn normal(cloud: &Cloud, i: usize) -> Option<Normal> {
+/// The faces of the mesh, by the cell of their lower left corner; zero where there is none.
+pub(super) fn faces(cloud: &Cloud) -> Vec<Vec3> {
+    let columns = cloud.image.columns();
+    let cells = (0..cloud.image.rings() * columns).into_par_iter().with_min_len(2048);
+    let faces = cells.map(|cell| face(cloud, cell / columns, cell % columns).unwrap_or(Vec3::ZERO));
+    faces.collect()
+}
+
+/// The normals of the returns from `first` on.
+pub(super) fn normals(cloud: &Cloud, faces: &[Vec3], first: usize, out: &mut [Normal]) {
+    for (i, out) in (first..).zip(out) {
+        *out = normal(cloud, faces, i).unwrap_or_default();
+    }
+}
+
+/// The normal of a return; `None` if it belongs to no face.
+fn normal(cloud: &Cloud, faces: &[Vec3], i: usize) -> Option<Normal> {
     let (ring, column) = cloud.image.place_of(i)?;
     let (left, _) = cloud.beside(column);
-    let mut faces = [None; 4];
-    for (k, face_of) in faces.iter_mut().enumerate() {
-        let lower = if k < 2 { Some(ring) } else { ring.checked_sub(1) };
-        *face_of = lower.and_then(|lower| face(cloud, lower, if k % 2 == 0 { column } else { left }));
+    let of = |ring: usize, column: usize| faces.get(ring * cloud.image.columns() + column).copied();
+    let below = |column: usize| of(ring.checked_sub(1)?, column);
+    let around = [of(ring, column), of(ring, left), below(column), below(left)].map(Option::unwrap_or_default);
+    let sum: Vec3 = around.iter().sum();
+    // Also false for NaN.
+    if !(sum.length() > SMALLEST_AREA) {
+        return None;
     }
-    let faces = || faces.iter().flatten();
-    let normal = unit_sum(faces().sum(), SMALLEST_AREA)?; // (5.12)
-    let angles: f32 = faces().map(|f| acos_f32(f.dot(normal) / f.length())).sum();
-    let agreement = (1.0 - angles / std::f32::consts::PI).max(0.0); // (5.17)
-    Some(Normal { normal, agreement })
+    let normal = sum.normalize(); // (5.12)
+    let angle = |face: Vec3| match face.length() {
+        0.0 => 0.0,
+        area => acos_f32(face.dot(normal) / area),
+    };
+    let angles: f32 = around.into_iter().map(angle).sum();
+    let away = normal.dot(cloud.ray(i)) > 0.0;
+    Some(Normal {
+        normal: if away { -normal } else { normal }, // [E4]
+        agreement: (1.0 - angles / PI).max(0.0),     // (5.17)
+    })
 }
 
 /// The face between a ring and the next and between a column and the next: the cross product of two of its edges, if all

@@ -15,6 +15,7 @@
 
 mod adjacent;
 mod holz;
+mod lanes;
 #[cfg(test)]
 mod oracle;
 
@@ -106,16 +107,22 @@ pub fn estimate(
         points,
         origins: origins.unwrap_or(&[]),
     };
-    let indices = (0..points.len()).into_par_iter().with_min_len(2048);
+    out.clear();
+    out.resize(points.len(), Normal::default());
+    let parts = out.par_chunks_mut(PART).enumerate();
     match config.estimator {
-        Estimator::Adjacent => indices
-            .map(|i| cloud.facing_sensor(i, adjacent::normal(&cloud, i, config.min_dot)))
-            .collect_into_vec(out),
-        Estimator::Holz => indices
-            .map(|i| cloud.facing_sensor(i, holz::normal(&cloud, i)))
-            .collect_into_vec(out),
+        Estimator::Adjacent => {
+            parts.for_each(|(part, out)| adjacent::normals(&cloud, part * PART, config.min_dot, out));
+        }
+        Estimator::Holz => {
+            let faces = holz::faces(&cloud);
+            parts.for_each(|(part, out)| holz::normals(&cloud, &faces, part * PART, out));
+        }
     }
 }
+
+/// Returns that one thread takes at a time.
+const PART: usize = 2048;
 
 /// An organized cloud.
 struct Cloud<'a> {
@@ -146,25 +153,7 @@ impl Cloud<'_> {
             if column == last { 0 } else { column + 1 },
         )
     }
-
-    /// Turns a normal so that n·(o − p) > 0 [E4].
-    #[inline]
-    fn facing_sensor(&self, i: usize, estimate: Option<Normal>) -> Normal {
-        let mut estimate = estimate.unwrap_or_default();
-        if estimate.normal.dot(self.ray(i)) > 0.0 {
-            estimate.normal = -estimate.normal;
-        }
-        estimate
-    }
 }
 
-/// A unit vector's length below which directions cancel each other and the sum points nowhere.
+/// Unit vectors whose sum is shorter than this cancel each other: it points nowhere.
 const CANCELLED: f32 = 1e-3;
-
-/// Sum of face normals as a unit vector; `None` if they cancel or are not finite.
-#[inline]
-fn unit_sum(sum: Vec3, smallest: f32) -> Option<Vec3> {
-    let length = sum.length();
-    // Also false for NaN.
-    (length > smallest && length < f32::INFINITY).then(|| sum / length)
-}

@@ -56,12 +56,9 @@ fn known(points: &[Vec3], rings: Option<&[u16]>) -> Option<SensorModel> {
     });
     // The first of equals.
     let (_, mut best) = fits.reduce(|best, next| if next.0 > best.0 { next } else { best })?;
-    let rings = recover_rings(points, &best).rings;
-    if let Some(columns) = columns(points, &rings, best.rings()) {
-        if (f64::from(columns) / f64::from(best.columns) - 1.0).abs() > COLUMNS_DIFFER {
-            best.columns = columns;
-        }
-    }
+    let measured = columns(points, &recover_rings(points, &best).rings, best.rings());
+    let differ = |&columns: &u32| (f64::from(columns) / f64::from(best.columns) - 1.0).abs() > COLUMNS_DIFFER;
+    best.columns = measured.filter(differ).unwrap_or(best.columns);
     Some(best)
 }
 

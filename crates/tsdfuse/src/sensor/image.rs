@@ -25,6 +25,9 @@ pub const NONE: u32 = u32::MAX;
 /// Returns that one thread takes at a time.
 const PART: usize = 8192;
 
+/// Returns of one ring that are at most this far apart, in columns, are of one firing.
+const SAME_FIRING: f32 = 0.25;
+
 /// Bins of a ring's azimuths within a column.
 const PHASE_BINS: usize = 32;
 
@@ -36,6 +39,8 @@ pub struct ScanImage {
     cells: Vec<u32>,
     /// Per return: its cell, or [`NONE`].
     cell_of: Vec<u32>,
+    /// Returns that lost their cell.
+    losers: Vec<u32>,
     collisions: usize,
     outside: usize,
     /// Tangent of the angle between each ring and the next.
@@ -56,7 +61,8 @@ impl ScanImage {
     /// Builds the image of returns in the sensor frame at their own time (metres), one ring number each.
     ///
     /// `model` has passed [`SensorModel::check`]. Where two returns fall into one cell, the one nearer to the cell's
-    /// middle stays, and the other is counted by [`ScanImage::collisions`].
+    /// middle stays. The other moves to the cell on its side, if that is empty and if they are of two firings (sensors
+    /// that round azimuths have many that close, such as the HDL-64E); else [`ScanImage::collisions`] counts it.
     pub fn update(&mut self, points: &[Vec3], rings: &[u16], model: &SensorModel) {
         self.columns = model.columns as usize;
         self.cells.clear();
@@ -150,7 +156,7 @@ impl ScanImage {
                 let column = if column < 0.0 { column + columns } else { column };
                 let size = p.x.abs() + p.y.abs() + p.z.abs();
                 // Adds 0, or NaN for what is not finite and for the zero vector.
-                *place = column + (size - size) / size;
+                *place = column + 0.0 * size / size;
             }
         });
     }
@@ -168,12 +174,7 @@ impl ScanImage {
 
     fn fill(&mut self, rings: &[u16]) {
         let phases: Vec<f32> = self.phase_bins.iter().map(mean_phase).collect();
-        // Column (one too many at the end of a turn), and distance from its middle; phases are at most ½.
-        let settle = |place: f32, phase: f32| {
-            let shifted = place - phase;
-            let column = (shifted + 0.5) as u32;
-            (column as usize, (shifted - column as f32).abs())
-        };
+        self.losers.clear();
         for (point, &place) in self.places.iter().enumerate() {
             let ring = rings.get(point).map_or(usize::MAX, |&r| usize::from(r));
             let Some(&phase) = phases.get(ring).filter(|_| !place.is_nan()) else {
@@ -181,20 +182,55 @@ impl ScanImage {
                 continue;
             };
             let (column, off) = settle(place, phase);
-            let column = if column < self.columns { column } else { 0 };
-            let cell = ring * self.columns + column;
+            let cell = ring * self.columns + if column < self.columns { column } else { 0 };
             let holder = self.cells[cell];
-            if holder != NONE {
-                self.collisions += 1;
-                if settle(self.places[holder as usize], phase).1 <= off {
-                    continue;
-                }
-                self.cell_of[holder as usize] = NONE;
+            if holder == NONE || off.abs() < settle(self.places[holder as usize], phase).1.abs() {
+                self.cells[cell] = point as u32;
+                self.cell_of[point] = cell as u32;
             }
-            self.cells[cell] = point as u32;
-            self.cell_of[point] = cell as u32;
+            if holder != NONE {
+                let keeps = self.cells[cell] == holder;
+                self.losers.push(if keeps { point as u32 } else { holder });
+            }
         }
+        let losers = std::mem::take(&mut self.losers);
+        for &loser in &losers {
+            let ring = usize::from(rings[loser as usize]);
+            self.move_aside(loser, ring, phases[ring]);
+        }
+        self.losers = losers;
     }
+
+    /// Gives a return that lost its cell the one on its side.
+    fn move_aside(&mut self, loser: u32, ring: usize, phase: f32) {
+        let place = self.places[loser as usize];
+        let (column, off) = settle(place, phase);
+        let side = if off > 0.0 {
+            column + 1
+        } else {
+            column + self.columns - 1
+        };
+        let cell_at = |column: usize| ring * self.columns + column % self.columns;
+        let (lost, free) = (cell_at(column), cell_at(side));
+        let apart = (self.places[self.cells[lost] as usize] - place).abs();
+        let apart = apart.min(self.columns as f32 - apart);
+        let gets_it = self.cells[free] == NONE && apart > SAME_FIRING;
+        if gets_it {
+            self.cells[free] = loser;
+        } else {
+            self.collisions += 1;
+        }
+        self.cell_of[loser as usize] = if gets_it { free as u32 } else { NONE };
+    }
+}
+
+/// The column of an azimuth (one too many at the end of a turn), and how far beyond its middle it is; in columns.
+#[inline]
+fn settle(place: f32, phase: f32) -> (usize, f32) {
+    let shifted = place - phase;
+    // Phases are at most ½, so this is not negative and truncation is the floor.
+    let column = (shifted + 0.5) as u32;
+    (column as usize, shifted - column as f32)
 }
 
 /// Circular mean of a ring's azimuths within a column, in columns: in [−½, ½].
@@ -255,6 +291,19 @@ mod tests {
             assert_eq!((image.get(0, 2), image.collisions()), (Some(winner), 2));
             assert_eq!((0..4).filter(|&i| image.place_of(i).is_some()).count(), 2);
         }
+    }
+
+    #[test]
+    fn rounded_azimuths_find_a_cell_each_but_second_returns_do_not() {
+        let model = SensorModel::from_beams("coded", vec![0.0], 2161, (0.1, 9.0)).unwrap();
+        // A turn of 2161 firings, azimuths rounded down to the 4000 steps of a coder.
+        let coded = |i: usize| ((i * 4000 / 2161) as f32 * TAU / 4000.0).sin_cos();
+        let mut points: Vec<Vec3> = (0..2161).map(coded).map(|(s, c)| Vec3::new(c, -s, 0.0)).collect();
+        assert_eq!(image(&points, &[0; 2161], &model).collisions(), 0);
+        // A second return behind the first, beside an empty cell.
+        points.swap_remove(1000);
+        points.push(points[999] * 2.0);
+        assert_eq!(image(&points, &[0; 2161], &model).collisions(), 1);
     }
 
     #[test]

@@ -1,0 +1,99 @@
+//! Eight returns side by side, in loops that the compiler turns into vector instructions.
+
+use glam::Vec3;
+
+/// How many returns are worked on together.
+pub(super) const LANES: usize = 8;
+
+/// One number per return.
+pub(super) type Floats = [f32; LANES];
+
+/// One truth value per return.
+pub(super) type Mask = [bool; LANES];
+
+/// One vector per return.
+#[derive(Clone, Copy)]
+pub(super) struct Vectors {
+    pub(super) x: Floats,
+    pub(super) y: Floats,
+    pub(super) z: Floats,
+}
+
+/// Applies a function lane by lane.
+#[inline(always)]
+pub(super) fn lanes<T>(f: impl FnMut(usize) -> T) -> [T; LANES] {
+    std::array::from_fn(f)
+}
+
+impl Vectors {
+    pub(super) const ZERO: Self = Self {
+        x: [0.0; LANES],
+        y: [0.0; LANES],
+        z: [0.0; LANES],
+    };
+
+    #[inline(always)]
+    pub(super) fn set(&mut self, lane: usize, v: Vec3) {
+        (self.x[lane], self.y[lane], self.z[lane]) = (v.x, v.y, v.z);
+    }
+
+    #[inline(always)]
+    pub(super) fn get(&self, lane: usize) -> Vec3 {
+        Vec3::new(self.x[lane], self.y[lane], self.z[lane])
+    }
+
+    #[inline(always)]
+    pub(super) fn add(self, b: Self) -> Self {
+        Self {
+            x: lanes(|l| self.x[l] + b.x[l]),
+            y: lanes(|l| self.y[l] + b.y[l]),
+            z: lanes(|l| self.z[l] + b.z[l]),
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn scale(self, s: Floats) -> Self {
+        Self {
+            x: lanes(|l| self.x[l] * s[l]),
+            y: lanes(|l| self.y[l] * s[l]),
+            z: lanes(|l| self.z[l] * s[l]),
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn dot(self, b: Self) -> Floats {
+        lanes(|l| self.x[l] * b.x[l] + self.y[l] * b.y[l] + self.z[l] * b.z[l])
+    }
+
+    #[inline(always)]
+    pub(super) fn cross(self, b: Self) -> Self {
+        Self {
+            x: lanes(|l| self.y[l] * b.z[l] - self.z[l] * b.y[l]),
+            y: lanes(|l| self.z[l] * b.x[l] - self.x[l] * b.z[l]),
+            z: lanes(|l| self.x[l] * b.y[l] - self.y[l] * b.x[l]),
+        }
+    }
+
+    /// 1/length; infinite or NaN for vectors without direction.
+    #[inline(always)]
+    pub(super) fn inverse_length(self) -> Floats {
+        let squared = self.dot(self);
+        lanes(|l| 1.0 / squared[l].sqrt())
+    }
+
+    /// Where the mask is set; zero elsewhere.
+    #[inline(always)]
+    pub(super) fn select(self, mask: Mask) -> Self {
+        Self {
+            x: select(mask, self.x),
+            y: select(mask, self.y),
+            z: select(mask, self.z),
+        }
+    }
+}
+
+/// The numbers where the mask is set; zero elsewhere.
+#[inline(always)]
+pub(super) fn select(mask: Mask, numbers: Floats) -> Floats {
+    lanes(|l| if mask[l] { numbers[l] } else { 0.0 })
+}
