@@ -114,3 +114,6 @@ fn viewpoint(path: &Path) -> Result<Option<Pose>> {
     file.take(1 << 16).read_to_end(&mut start).map_err(Error::io(path))?;
     Ok(pcd::Header::parse(path, &start)?.viewpoint)
 }
+
+#[cfg(test)]
+mod tests;

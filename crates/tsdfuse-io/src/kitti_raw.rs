@@ -179,3 +179,6 @@ fn velodyne_from_imu(path: &Path) -> Result<Option<Pose>> {
     let found: Option<&PathBuf> = places.iter().find(|p| p.is_file());
     found.map(|file| calib::parse_rt(file, &files::read(file)?)).transpose()
 }
+
+#[cfg(test)]
+mod tests;
