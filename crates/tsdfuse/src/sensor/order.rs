@@ -269,7 +269,7 @@ mod tests {
             assert!(found.recovery.within_tolerance > 0.95);
             let model = first.get_or_insert_with(|| guess(&points, None).unwrap());
             assert_eq!((model.name.as_str(), model.rings()), ("hdl64e-fitted", 64));
-            assert!((2100..2250).contains(&model.columns), "{}", model.columns);
+            assert!((1990..2030).contains(&model.columns), "{}", model.columns);
             assert_eq!(recover_rings(&points, model), found.recovery);
         }
     }
