@@ -79,15 +79,8 @@ impl Topology {
 impl Mesh {
     /// Examines edges and vertices; costs a few sorts.
     pub fn topology(&self) -> Topology {
-        let mut edges: Vec<(u32, u32, bool)> = self
-            .triangles
-            .iter()
-            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
-            .map(|(a, b)| (a.min(b), a.max(b), a < b))
-            .collect();
-        edges.sort_unstable();
         let mut topology = Topology::default();
-        for edge in edges.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        for edge in self.sorted_edges().chunk_by(same_edge) {
             match edge {
                 [_] => topology.border_edges += 1,
                 [a, b] => topology.flipped_edges += usize::from(a.2 == b.2),
@@ -107,4 +100,26 @@ impl Mesh {
         topology.duplicate_vertices = positions.windows(2).filter(|w| w[0] == w[1]).count();
         topology
     }
+
+    /// The edges with a triangle on one side only, as pairs of vertices.
+    pub fn border_edges(&self) -> Vec<[u32; 2]> {
+        let edges = self.sorted_edges();
+        edges
+            .chunk_by(same_edge)
+            .filter(|e| e.len() == 1)
+            .map(|e| [e[0].0, e[0].1])
+            .collect()
+    }
+
+    /// Lower vertex, higher vertex, and whether the triangle runs from the lower to the higher, for each side of each triangle.
+    fn sorted_edges(&self) -> Vec<(u32, u32, bool)> {
+        let sides = self.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
+        let mut edges: Vec<_> = sides.map(|(a, b)| (a.min(b), a.max(b), a < b)).collect();
+        edges.sort_unstable();
+        edges
+    }
+}
+
+fn same_edge(a: &(u32, u32, bool), b: &(u32, u32, bool)) -> bool {
+    (a.0, a.1) == (b.0, b.1)
 }
