@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 use tsdfuse::fuse::{FuseConfig, Method, RaycastConfig};
 use tsdfuse::mesh::MeshConfig;
+use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::{MapConfig, SensorModel};
 
@@ -24,6 +25,8 @@ pub(crate) struct RunConfig {
     pub(crate) range: RangeLimits,
     /// Options of the method `raycast`.
     pub(crate) raycast: RaycastConfig,
+    /// Options of the method `normals`.
+    pub(crate) normals: NormalsConfig,
     /// What becomes surface.
     pub(crate) mesh: MeshConfig,
 }
@@ -31,11 +34,15 @@ pub(crate) struct RunConfig {
 impl RunConfig {
     /// The options of all methods.
     pub(crate) fn methods(&self) -> FuseConfig {
-        FuseConfig { raycast: self.raycast }
+        FuseConfig {
+            raycast: self.raycast,
+            normals: self.normals,
+        }
     }
 
     fn validate(&self) -> Result<(), Usage> {
         self.map.validate().map_err(Usage::new)?;
+        self.methods().validate().map_err(Usage::new)?;
         let RangeLimits {
             min_range_m,
             max_range_m,
@@ -65,12 +72,15 @@ impl Layers {
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Usage::new(format_args!("{}: {e}", path.display())))?;
         let wrong = |error: toml::de::Error| {
-            let before = text
-                .get(..error.span().map_or(0, |span| span.start))
-                .unwrap_or_default();
-            let line = before.matches('\n').count() + 1;
+            let start = error.span().map_or(0, |span| span.start);
+            let number = text.get(..start).map_or(0, |before| before.matches('\n').count());
+            let line = text.lines().nth(number).unwrap_or_default().trim();
             let reason = error.message().replace('\n', " ");
-            Usage::new(format_args!("{}: line {line}: {reason}", path.display()))
+            Usage::new(format_args!(
+                "{}: line {}, {line}: {reason}",
+                path.display(),
+                number + 1
+            ))
         };
         toml::from_str::<RunConfig>(&text).map_err(&wrong)?;
         Ok(Self(toml::from_str(&text).map_err(&wrong)?))
@@ -178,10 +188,15 @@ mod tests {
         assert!(message(layers.set_text("method.x=1")).contains("method is a value, not a section"));
         let told = message(file("method = \"raycast\"\n\n[map]\nvoxel = 1"));
         assert!(
-            told.contains("run.toml: line 4: unknown field `voxel`, expected one of"),
+            told.contains("run.toml: line 4, voxel = 1: unknown field `voxel`, expected one of"),
             "{told}"
         );
-        assert!(message(file("[map")).contains("run.toml: line 1: "));
+        assert!(message(file("[map")).contains("run.toml: line 1, [map: "));
+        let told = message(file("[map]\nvoxel_size_m = 'big'"));
+        assert!(
+            told.contains("line 2, voxel_size_m = 'big': invalid type: string"),
+            "{told}"
+        );
     }
 
     #[test]
@@ -194,6 +209,7 @@ mod tests {
         assert!(resolved("map.voxel_size_m=-1").contains("voxel_size_m"));
         assert!(resolved("range.max_range_m=0.1").contains("max_range_m = 0.1"));
         assert!(resolved("range.min_range_m=nan").contains("min_range_m = NaN"));
+        assert!(resolved("normals.min_dot=2").contains("min_dot"));
         assert!(resolved("mesh.min_weight=-1").contains("min_weight"));
     }
 }

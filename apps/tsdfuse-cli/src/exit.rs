@@ -8,7 +8,7 @@ use crate::progress::say;
 
 /// What the exit codes mean, for `--help`.
 pub(crate) const CODES: &str = "\
-Exit codes: 0 the result is complete, 1 something failed and nothing was written, 2 the command line or the \
+Exit codes: 0 the result is complete, 1 something failed, 2 the command line or the \
 configuration is wrong, 3 the result is there but scans were skipped.";
 
 /// How a run that did not fail ended.

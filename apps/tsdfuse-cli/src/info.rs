@@ -1,10 +1,11 @@
 //! `tsdfuse info`: what lies in a data set.
 
+mod table;
+
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use glam::DVec3;
-use indicatif::HumanCount;
 use serde::Serialize;
 use tsdfuse::scan::{Dropped, RangeLimits};
 use tsdfuse::{Scan, SensorModel};
@@ -12,7 +13,7 @@ use tsdfuse_io::{Dataset, ScanRef};
 
 use crate::exit::{Outcome, one_line};
 use crate::progress;
-use crate::report::{print_json, reasons};
+use crate::report::{print, print_json};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -100,9 +101,9 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     };
     info.read(&dataset, args.sample as usize)?;
     if args.json {
-        print_json(&info)?
+        print_json(&info)?;
     } else {
-        info.print()?
+        print(&table::of(&info))?;
     }
     Ok(if info.sample.unreadable.is_empty() {
         Outcome::Complete
@@ -130,92 +131,11 @@ impl Info {
             }
             bar.inc(1);
         }
-        bar.finish_and_clear();
+        drop(bar);
         match self.sample.unreadable.first() {
             Some(reason) if self.sample.scans == 0 => bail!("no scan can be read: {reason}"),
             _ => Ok(()),
         }
-    }
-
-    fn print(&self) -> Result<()> {
-        let mut rows = Rows::default();
-        let sample = &self.sample;
-        rows.add("data set", format!("{} ({})", self.path.display(), self.format));
-        rows.add("sensor", self.sensor_line());
-        rows.add("scans", self.scans_line());
-        rows.add("path", format!("{:.1} m", self.path_length_m));
-        let read = match sample.scans {
-            n if n == self.scans => "all scans".to_owned(),
-            n => format!("{n} of {} scans", self.scans),
-        };
-        let Points { min, mean, max } = &sample.points;
-        let (min, max) = (HumanCount(*min), HumanCount(*max));
-        let mean = HumanCount(mean.round() as u64);
-        rows.add(
-            "points",
-            format!("{min} to {max} a scan, {mean} on average ({read} read)"),
-        );
-        let invalid: Vec<_> = reasons(&sample.invalid)
-            .iter()
-            .map(|(reason, n)| format!("{} {reason}", HumanCount(*n)))
-            .collect();
-        rows.add(
-            "left out",
-            if invalid.is_empty() {
-                "none".to_owned()
-            } else {
-                invalid.join(", ")
-            },
-        );
-        if let Some([low, high]) = sample.extent_m {
-            rows.add("extent", extent_line(low, high));
-        }
-        let columns = [
-            ("rings", sample.with_rings),
-            ("times", sample.with_times),
-            ("motion", sample.with_motion),
-            ("intensities", sample.with_intensities),
-        ];
-        for (name, scans) in columns {
-            rows.add(
-                name,
-                match scans {
-                    0 => "no".to_owned(),
-                    n if n == sample.scans => "yes".to_owned(),
-                    n => format!("in {n} of {} scans", sample.scans),
-                },
-            );
-        }
-        self.notes.iter().for_each(|note| rows.add("note", note.clone()));
-        sample
-            .unreadable
-            .iter()
-            .for_each(|reason| rows.add("unreadable", reason.clone()));
-        rows.print()
-    }
-
-    fn sensor_line(&self) -> String {
-        let Some(sensor) = &self.sensor else {
-            return "not known".to_owned();
-        };
-        let low = sensor.elevations_deg.first().copied().unwrap_or_default();
-        let high = sensor.elevations_deg.last().copied().unwrap_or_default();
-        format!(
-            "{}{}: {} beams from {low:.1}° to {high:.1}°, {} columns, {} m to {} m",
-            sensor.name,
-            if self.sensor_guessed { ", guessed" } else { "" },
-            sensor.rings(),
-            sensor.columns,
-            sensor.min_range_m,
-            sensor.max_range_m
-        )
-    }
-
-    fn scans_line(&self) -> String {
-        let secs = self.duration_secs.map(|secs| format!(" in {secs:.2} s"));
-        let rate = self.rate_hz.map(|rate| format!(", {rate:.2} Hz"));
-        let timed = secs.unwrap_or_else(|| ", without times".to_owned());
-        format!("{}{timed}{}", self.scans, rate.unwrap_or_default())
     }
 }
 
@@ -259,19 +179,6 @@ fn points_in_world(scan: &Scan) -> impl Iterator<Item = DVec3> + '_ {
     })
 }
 
-fn extent_line(low: DVec3, high: DVec3) -> String {
-    let sides = (0..3).map(|axis| format!("{} {:.1} to {:.1}", ["x", "y", "z"][axis], low[axis], high[axis]));
-    let size = high - low;
-    let sides: Vec<_> = sides.collect();
-    format!(
-        "{:.1} x {:.1} x {:.1} m: {} m",
-        size.x,
-        size.y,
-        size.z,
-        sides.join(", ")
-    )
-}
-
 fn path_length_m(scans: &[ScanRef]) -> f64 {
     let steps = scans.iter().zip(scans.iter().skip(1));
     steps
@@ -292,21 +199,6 @@ fn rate_hz(scans: &[ScanRef]) -> Option<f64> {
     steps.sort_by(f64::total_cmp);
     let median = steps.get(steps.len() / 2)?;
     (*median > 0.0).then(|| 1.0 / median)
-}
-
-/// A table of two columns.
-#[derive(Default)]
-struct Rows(String);
-
-impl Rows {
-    fn add(&mut self, name: &str, value: String) {
-        self.0 += &format!("{name:<12}{value}\n");
-    }
-
-    fn print(&self) -> Result<()> {
-        use std::io::Write;
-        Ok(std::io::stdout().write_all(self.0.as_bytes())?)
-    }
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ use clap::{Parser, Subcommand};
 
 /// Dense 3D reconstruction from LiDAR: scans and poses in, a surface out.
 #[derive(Debug, Parser)]
-#[command(version, after_help = exit::CODES, arg_required_else_help = true, max_term_width = 110)]
+#[command(name = "tsdfuse", version, after_help = exit::CODES, arg_required_else_help = true, max_term_width = 110)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -1,10 +1,10 @@
-//! What people see while they wait: bars on a terminal, and nothing in a pipe. All of it goes to standard error.
+//! What people see while they wait: bars on a terminal, which vanish when dropped, and nothing in a pipe. All of it goes to standard error.
 
 use std::fmt::{Arguments, Display};
 use std::io::Write;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
 
 /// Writes a line to standard error; if that is closed, nobody is there to be told.
 pub(crate) fn say(line: Arguments<'_>) {
@@ -35,5 +35,7 @@ pub(crate) fn working(doing: &'static str) -> ProgressBar {
 fn styled(bar: ProgressBar, doing: &'static str, template: &str) -> ProgressBar {
     // The default style where the template is not understood.
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    bar.with_style(style).with_message(doing)
+    bar.with_style(style)
+        .with_message(doing)
+        .with_finish(ProgressFinish::AndClear)
 }

@@ -1,6 +1,5 @@
 //! What a run did, as `report.json` and as a few lines for people.
 
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -50,9 +49,8 @@ pub(crate) struct DatasetReport {
     pub(crate) format: &'static str,
     /// Scans there are, of which some were asked for.
     pub(crate) scans: usize,
+    /// Its sensor, where it or the user states it.
     pub(crate) sensor: Option<SensorModel>,
-    /// Whether the sensor's model was guessed from a scan.
-    pub(crate) sensor_guessed: bool,
     /// What is missing or odd.
     pub(crate) notes: Vec<String>,
 }
@@ -192,28 +190,19 @@ impl Report {
 }
 
 /// Returns that were not fused, by reason: `; 12 no return, 3 too near`.
-fn left_out(sums: &Sums) -> String {
-    let mut reasons = reasons(&sums.dropped);
-    reasons.extend(self::reasons(&sums.skipped));
-    let parts: Vec<_> = reasons
-        .iter()
-        .map(|(reason, n)| format!("{} {reason}", HumanCount(*n)))
-        .collect();
-    if parts.is_empty() {
-        String::new()
-    } else {
-        format!("; {}", parts.join(", "))
-    }
+pub(crate) fn left_out(sums: &Sums) -> String {
+    let reasons = [counted(&sums.dropped), counted(&sums.skipped)].concat();
+    let lead = if reasons.is_empty() { "" } else { "; " };
+    lead.to_owned() + &reasons.join(", ")
 }
 
-/// The counters that are not 0, by name.
-pub(crate) fn reasons(counters: &impl Serialize) -> BTreeMap<String, u64> {
+/// The counters that are not 0, by name: `12 no return`.
+pub(crate) fn counted(counters: &impl Serialize) -> Vec<String> {
     // Counters are plain structs of numbers, which cannot fail to become JSON.
     let counters = serde_json::to_value(counters).unwrap_or_default();
     let counters = counters.as_object().into_iter().flatten();
-    counters
-        .filter_map(|(name, n)| Some((name.replace('_', " "), n.as_u64().filter(|&n| n > 0)?)))
-        .collect()
+    let nonzero = counters.filter_map(|(name, n)| Some((name.replace('_', " "), n.as_u64().filter(|&n| n > 0)?)));
+    nonzero.map(|(name, n)| format!("{} {name}", HumanCount(n))).collect()
 }
 
 /// The most memory this process has held so far, where the system tells (Linux).
@@ -230,9 +219,12 @@ pub(crate) fn peak_memory_bytes() -> Option<u64> {
 
 /// Prints a value as JSON on standard output.
 pub(crate) fn print_json(value: &impl Serialize) -> Result<()> {
-    let mut text = serde_json::to_vec_pretty(value)?;
-    text.push(b'\n');
-    std::io::stdout().write_all(&text).context("standard output")
+    print(&(serde_json::to_string_pretty(value)? + "\n"))
+}
+
+/// Prints text on standard output.
+pub(crate) fn print(text: &str) -> Result<()> {
+    std::io::stdout().write_all(text.as_bytes()).context("standard output")
 }
 
 #[cfg(test)]

@@ -20,18 +20,18 @@ use crate::progress::{self, say};
 /// Largest distance between the true surface and `scene.ply`.
 const CHORD_M: f64 = 0.002;
 
-const EXAMPLES: &str = "\
+const MORE_HELP: &str = "\
+Writes a folder that `tsdfuse fuse` reads, with rings, sensor.toml, the scene's true surface (scene.ply) and how it was
+made (simulation.toml). The same arguments give the same bytes.
+
 Examples:
   tsdfuse simulate --scene street --scans 80 -o street
   tsdfuse simulate --scene hall --sensor os0-128 --path handheld --motion -o hall
   tsdfuse simulate --scene sphere --noise 0 --dropout 0 --grazing-loss off -o sphere";
 
 /// Simulate a LiDAR in a scene whose true surface is known.
-///
-/// Writes a folder that `tsdfuse fuse` reads (velodyne/, rings/, times/, poses.txt, sensor.toml, ...), the scene's true
-/// surface as scene.ply, and simulation.toml, which says how it was made. The same arguments give the same bytes.
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_help = MORE_HELP)]
 pub(crate) struct Args {
     /// What is scanned.
     #[arg(long, value_parser = PossibleValuesParser::new(scene::names()))]
@@ -140,7 +140,7 @@ fn write(args: &Args, simulator: &Simulator, folder: &Path) -> Result<u64> {
         points += scan.points.len() as u64;
         bar.inc(1);
     }
-    bar.finish_and_clear();
+    drop(bar);
     writer.finish()?;
     tsdfuse_io::mesh::write(folder.join("scene.ply"), &simulator.scene().mesh(CHORD_M))?;
     let made = Made {

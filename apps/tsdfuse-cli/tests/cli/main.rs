@@ -1,0 +1,11 @@
+//! The command end to end, as a user runs it.
+
+#![allow(clippy::unwrap_used)] // the setting for tests does not reach their helpers
+
+mod bad_input;
+mod fuse;
+mod help;
+mod info;
+mod ply;
+mod run;
+mod simulate;
