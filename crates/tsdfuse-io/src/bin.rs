@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 ///
 /// # Errors
 /// Names the file where its size is no multiple of 16 bytes.
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
+pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
     let (records, []) = bytes.as_chunks::<16>() else {
         let reason = format!(
             "is truncated: {} bytes are not a multiple of 16 (x y z intensity)",

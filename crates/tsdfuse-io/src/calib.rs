@@ -21,7 +21,7 @@ pub(crate) fn in_folder(folder: &Path) -> Result<Option<Pose>> {
 ///
 /// # Errors
 /// Names the file, the line and what is wrong with the numbers.
-pub fn parse(path: &Path, bytes: &[u8], name: &str) -> Result<Option<Pose>> {
+pub(crate) fn parse(path: &Path, bytes: &[u8], name: &str) -> Result<Option<Pose>> {
     let line = entry(path, bytes, name)?;
     line.map(|line| poses::matrix(&line, &line.numbers()?)).transpose()
 }
@@ -30,7 +30,7 @@ pub fn parse(path: &Path, bytes: &[u8], name: &str) -> Result<Option<Pose>> {
 ///
 /// # Errors
 /// Names the file, and the line or what is wrong with the numbers.
-pub fn parse_rt(path: &Path, bytes: &[u8]) -> Result<Pose> {
+pub(crate) fn parse_rt(path: &Path, bytes: &[u8]) -> Result<Pose> {
     let (Some(rotation), Some(translation)) = (entry(path, bytes, "R")?, entry(path, bytes, "T")?) else {
         return Err(Error::format(path, "has no lines R and T"));
     };

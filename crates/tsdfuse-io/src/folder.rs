@@ -302,7 +302,7 @@ fn sensor(root: &Path, options: &OpenOptions) -> Result<Option<SensorModel>> {
 ///
 /// # Errors
 /// Names the file and what no sensor can have.
-pub fn parse_sensor(path: &Path, bytes: &[u8]) -> Result<SensorModel> {
+pub(crate) fn parse_sensor(path: &Path, bytes: &[u8]) -> Result<SensorModel> {
     let text = std::str::from_utf8(bytes).map_err(|e| Error::format(path, format!("is not text: {e}")))?;
     let model: SensorModel = toml::from_str(text).map_err(|e| {
         let line = text

@@ -111,7 +111,7 @@ fn moved(poses: &[Pose], secs: &[f64], k: usize, late: f64) -> Pose {
 
 /// What a packet says of the pose: degrees, metres and radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Packet {
+pub(crate) struct Packet {
     latitude_deg: f64,
     longitude_deg: f64,
     altitude_m: f64,
@@ -124,7 +124,7 @@ pub struct Packet {
 ///
 /// # Errors
 /// Names the file, the line and the reason.
-pub fn packet(path: &Path, bytes: &[u8]) -> Result<Packet> {
+pub(crate) fn packet(path: &Path, bytes: &[u8]) -> Result<Packet> {
     let line = text::lines(path, bytes)?
         .next()
         .ok_or_else(|| Error::format(path, "is empty"))?;

@@ -4,10 +4,8 @@
 //! [`mesh::write`] writes what was made of them.
 
 pub mod atomic;
-#[doc(hidden)]
-pub mod bin;
-#[doc(hidden)]
-pub mod calib;
+mod bin;
+mod calib;
 mod cloud;
 pub mod clouds;
 pub mod columns;
@@ -15,14 +13,15 @@ pub mod dataset;
 pub mod error;
 mod files;
 pub mod folder;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod glb;
 pub mod kitti;
 pub mod kitti_raw;
 pub mod mesh;
 pub mod obj;
 pub mod pandaset;
-#[doc(hidden)]
-pub mod pcd;
+mod pcd;
 mod pickle;
 pub mod plain;
 pub mod ply;
@@ -30,8 +29,7 @@ pub mod poses;
 pub mod read_ahead;
 mod scalar;
 mod text;
-#[doc(hidden)]
-pub mod times;
+mod times;
 
 pub use cloud::Cloud;
 pub use dataset::{Dataset, OpenOptions, ScanRef, Source, open, open_with};

@@ -19,7 +19,7 @@ pub(crate) use header::Header;
 ///
 /// # Errors
 /// Names the file and what its header promises but its bytes do not keep.
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
+pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
     let header = Header::parse(path, bytes)?;
     let body = bytes.get(header.bytes..).unwrap_or_default();
     let names: Vec<_> = header.fields.iter().map(|f| (f.name.as_str(), f.scalar)).collect();

@@ -24,7 +24,7 @@ pub(crate) fn of_scans(root: &Path, scans: &[ScanFile]) -> Result<Option<Vec<f64
 ///
 /// # Errors
 /// Names the file, the line and the reason.
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<f64>> {
+pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<f64>> {
     text::lines(path, bytes)?
         .map(|line| match line.text.parse::<f64>() {
             Ok(secs) if secs.is_finite() => Ok(files::epoch_secs(secs).unwrap_or(secs)),

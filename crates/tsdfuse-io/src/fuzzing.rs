@@ -1,0 +1,74 @@
+//! Each parser fed with any bytes, for the targets in `fuzz/`; no part of the library's interface.
+
+use std::path::Path;
+
+use crate::pickle::DataFrame;
+use crate::{bin, calib, folder, kitti_raw, pcd, ply, poses, times};
+
+const PATH: &str = "input";
+
+/// A pickled DataFrame, and the columns of a PandaSet scan.
+pub fn pickle(bytes: &[u8]) {
+    if let Ok(frame) = DataFrame::new(bytes) {
+        for name in ["x", "y", "z", "i", "t", "d"] {
+            let _ = frame.column(name);
+        }
+    }
+}
+
+/// A PCD cloud.
+pub fn pcd(bytes: &[u8]) {
+    let _ = pcd::parse(Path::new(PATH), bytes);
+}
+
+/// A PLY cloud.
+pub fn ply_cloud(bytes: &[u8]) {
+    let _ = ply::parse_cloud(Path::new(PATH), bytes);
+}
+
+/// A PLY mesh; what was read is written and read again as the same.
+///
+/// # Panics
+/// If it is another.
+pub fn ply_mesh(bytes: &[u8]) {
+    let Ok(mut mesh) = ply::parse_mesh(Path::new(PATH), bytes) else {
+        return;
+    };
+    // Coordinates below 1000 m are written as floats; NaN is not equal to itself.
+    mesh.vertices.iter_mut().for_each(|v| *v = v.as_vec3().as_dvec3());
+    if mesh.vertices.iter().any(|v| v.is_nan()) || mesh.normals.iter().any(|n| n.is_nan()) {
+        return;
+    }
+    let mut written = Vec::new();
+    if ply::write_to(&mut written, &mesh).is_ok() {
+        let read = ply::parse_mesh(Path::new(PATH), &written);
+        assert!(read.is_ok_and(|read| read == mesh), "what is written is read");
+    }
+}
+
+/// KITTI's point file.
+pub fn bin(bytes: &[u8]) {
+    let _ = bin::parse(Path::new(PATH), bytes);
+}
+
+/// Poses, KITTI or TUM.
+pub fn poses(bytes: &[u8]) {
+    let _ = poses::parse(Path::new(PATH), bytes);
+}
+
+/// The times of scans.
+pub fn times(bytes: &[u8]) {
+    let _ = times::parse(Path::new(PATH), bytes);
+}
+
+/// KITTI's calibrations and GPS packets.
+pub fn kitti(bytes: &[u8]) {
+    let _ = calib::parse(Path::new(PATH), bytes, "Tr");
+    let _ = calib::parse_rt(Path::new(PATH), bytes);
+    let _ = kitti_raw::packet(Path::new(PATH), bytes);
+}
+
+/// A sensor's model.
+pub fn sensor(bytes: &[u8]) {
+    let _ = folder::parse_sensor(Path::new(PATH), bytes);
+}
