@@ -106,8 +106,9 @@ impl ScanImage {
     #[inline]
     pub fn place_of(&self, point: usize) -> Option<(usize, usize)> {
         let cell = self.cell_of.get(point).filter(|&&c| c != NONE)?;
-        let cell = *cell as usize;
-        Some((cell / self.columns, cell % self.columns))
+        // In 32 bits, where division is twice as fast.
+        let columns = self.columns as u32;
+        Some(((cell / columns) as usize, (cell % columns) as usize))
     }
 
     /// Returns that lost their cell to another return of the same ring and column.
