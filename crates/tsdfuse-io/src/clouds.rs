@@ -10,7 +10,7 @@ use tsdfuse::Pose;
 use crate::dataset::OpenOptions;
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
-use crate::folder::{self, ScanFolder};
+use crate::folder::{self, PoseFile, ScanFolder};
 use crate::pcd;
 use crate::poses::{self, Poses};
 
@@ -48,7 +48,12 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
             ));
         }
         let poses = viewpoints.into_iter().map(Option::unwrap_or_default).collect();
-        return ScanFolder::new(format, &root, &files, (root.clone(), Poses::Listed(poses)), options);
+        let poses = PoseFile {
+            path: root.clone(),
+            poses: Poses::Listed(poses),
+            note: None,
+        };
+        return ScanFolder::new(format, &root, &files, poses, options);
     }
     let poses = folder::poses(&root, options, Path::new(""))?;
     let mut scans = ScanFolder::new(format, &root, &files, poses, options)?;

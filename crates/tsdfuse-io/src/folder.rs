@@ -24,7 +24,12 @@ use crate::dataset::{OpenOptions, ScanRef, Source};
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::poses::{self, Poses, Trajectory};
-use crate::{bin, calib, pcd, ply, text, times};
+use crate::{bin, pcd, ply, times};
+
+mod beside;
+
+pub(crate) use beside::{PoseFile, parse_sensor, poses};
+use beside::{motions, sensor};
 
 /// The longest time between two scans over which the sensor is taken to move steadily, seconds.
 pub const MAX_STEP_SECS: f64 = 1.0;
@@ -48,15 +53,15 @@ struct Entry {
 }
 
 impl ScanFolder {
-    /// Puts scans and poses together. `poses_path` is where the poses come from.
+    /// Puts scans and poses together.
     pub(crate) fn new(
         format: &'static str,
         root: &Path,
         files: &[ScanFile],
-        (poses_path, poses): (PathBuf, Poses),
+        PoseFile { path, poses, note }: PoseFile,
         options: &OpenOptions,
     ) -> Result<Self> {
-        let placed = poses::place(&poses_path, &poses, files, times::of_scans(root, files)?)?;
+        let placed = poses::place(&path, &poses, files, times::of_scans(root, files)?)?;
         let scans: Vec<_> = files
             .iter()
             .zip(placed)
@@ -92,7 +97,7 @@ impl ScanFolder {
                 Poses::Listed(_) => None,
             },
             sensor: sensor(root, options)?,
-            notes: Vec::new(),
+            notes: note.into_iter().collect(),
         };
         folder.note_gaps();
         Ok(folder)
@@ -142,6 +147,7 @@ impl ScanFolder {
                 .max_by(|a, b| a.abs().total_cmp(&b.abs()));
             let secs = f64::from(outermost.unwrap_or(0.0));
             if secs != 0.0
+                && secs.abs() <= MAX_STEP_SECS
                 && let Ok(pose) = trajectory.at(now + secs)
             {
                 return Some(Motion { pose, secs });
@@ -258,77 +264,4 @@ pub(crate) fn read_cloud(path: &Path) -> Result<Cloud> {
         "ply" => ply::parse_cloud(path, &bytes),
         other => Err(Error::format(path, format!("is no file of points: .{other}"))),
     }
-}
-
-/// The motion of each scan, where the file is there.
-fn motions(path: &Path, files: &[ScanFile]) -> Result<Vec<Option<Motion>>> {
-    if !path.is_file() {
-        return Ok(vec![None; files.len()]);
-    }
-    let bytes = files::read(path)?;
-    let rows: Result<Vec<_>> = text::lines(path, &bytes)?
-        .map(|line| {
-            if line.text == "-" {
-                return Ok(None);
-            }
-            match line.numbers()?.split_first() {
-                Some((&secs, pose)) if secs.is_finite() && secs != 0.0 => Ok(Some(Motion {
-                    pose: poses::matrix(&line, pose)?,
-                    secs,
-                })),
-                _ => Err(line.error("the seconds to the second pose are zero or not finite")),
-            }
-        })
-        .collect();
-    poses::rows_of_scans(path, "lines", &rows?, files)
-}
-
-/// The sensor's model: the one asked for, or that of `sensor.toml`.
-fn sensor(root: &Path, options: &OpenOptions) -> Result<Option<SensorModel>> {
-    if let Some(name) = &options.sensor {
-        let model = tsdfuse::sensor::model(name).ok_or_else(|| {
-            let known = tsdfuse::sensor::names().join(", ");
-            Error::dataset(root, format!("there is no sensor model {name:?}; known are {known}"))
-        })?;
-        return Ok(Some(model));
-    }
-    let path = root.join("sensor.toml");
-    path.is_file()
-        .then(|| parse_sensor(&path, &files::read(&path)?))
-        .transpose()
-}
-
-/// Parses `sensor.toml`; `path` is for messages.
-///
-/// # Errors
-/// Names the file and what no sensor can have.
-pub(crate) fn parse_sensor(path: &Path, bytes: &[u8]) -> Result<SensorModel> {
-    let text = std::str::from_utf8(bytes).map_err(|e| Error::format(path, format!("is not text: {e}")))?;
-    let model: SensorModel = toml::from_str(text).map_err(|e| {
-        let line = text
-            .get(..e.span().map_or(0, |s| s.start))
-            .map_or(1, |before| before.matches('\n').count() + 1);
-        Error::format(path, format!("line {line}: {}", e.message().replace('\n', " ")))
-    })?;
-    model.check().map_err(|e| Error::format(path, e.to_string()))?;
-    Ok(model)
-}
-
-/// The poses asked for, or those found in the folder, or those `elsewhere`, with the path they come from.
-///
-/// They are `world_from_sensor`, unless a `calib.txt` with a `Tr` lies in the folder or beside the pose file: then they
-/// are the camera's, P, and `world_from_sensor = Tr⁻¹ · P · Tr`.
-pub(crate) fn poses(root: &Path, options: &OpenOptions, elsewhere: &Path) -> Result<(PathBuf, Poses)> {
-    let found = match &options.poses {
-        Some(path) => Some(path.clone()),
-        None => poses::find(root)?.or_else(|| elsewhere.is_file().then(|| elsewhere.to_owned())),
-    };
-    let path = found.ok_or_else(|| Error::dataset(root, "holds scans but no poses.txt or other pose file"))?;
-    let mut poses = poses::read(&path)?;
-    let beside = || calib::in_folder(path.parent().unwrap_or(Path::new("")));
-    if let Some(camera_from_sensor) = calib::in_folder(root)?.map_or_else(beside, |tr| Ok(Some(tr)))? {
-        let sensor_from_camera = camera_from_sensor.inverse();
-        poses.map(|pose| sensor_from_camera * *pose * camera_from_sensor);
-    }
-    Ok((path, poses))
 }

@@ -15,7 +15,7 @@ use tsdfuse::pose::Interpolation;
 use crate::dataset::OpenOptions;
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
-use crate::folder::{self, ScanFolder};
+use crate::folder::{self, PoseFile, ScanFolder};
 use crate::poses::Poses;
 use crate::{calib, text, times};
 
@@ -33,28 +33,25 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
     let velodyne = path.join("velodyne_points");
     let scans = files::list(&velodyne.join("data"), "bin")?;
     let packets = path.join("oxts/data");
-    let mut notes = Vec::new();
     let poses = if options.poses.is_none() && packets.is_dir() {
-        let velodyne_from_imu = match velodyne_from_imu(path)? {
-            Some(pose) => pose,
-            None => {
-                notes.push("no calib_imu_to_velo.txt: the scanner is taken to be where the IMU is".to_owned());
-                Pose::IDENTITY
-            }
-        };
-        let imu_from_velodyne = velodyne_from_imu.inverse();
+        let velodyne_from_imu = velodyne_from_imu(path)?;
+        let missing = || "no calib_imu_to_velo.txt: the scanner is taken to be where the IMU is".to_owned();
+        let imu_from_velodyne = velodyne_from_imu.unwrap_or_default().inverse();
         let world_from_imu = imu_at_scans(path, &scans)?;
-        let poses = world_from_imu
-            .into_iter()
-            .map(|pose| pose * imu_from_velodyne)
-            .collect();
-        (packets, Poses::Listed(poses))
+        PoseFile {
+            path: packets,
+            poses: Poses::Listed(
+                world_from_imu
+                    .into_iter()
+                    .map(|pose| pose * imu_from_velodyne)
+                    .collect(),
+            ),
+            note: velodyne_from_imu.is_none().then(missing),
+        }
     } else {
         folder::poses(path, options, Path::new(""))?
     };
-    let mut scans = ScanFolder::new("KITTI raw", &velodyne, &scans, poses, options)?.with_usual_sensor("hdl64e");
-    notes.into_iter().for_each(|sentence| scans.note(sentence));
-    Ok(scans)
+    Ok(ScanFolder::new("KITTI raw", &velodyne, &scans, poses, options)?.with_usual_sensor("hdl64e"))
 }
 
 /// `world_from_imu` at the time of each scan.

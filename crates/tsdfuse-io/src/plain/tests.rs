@@ -254,6 +254,7 @@ fn both_layouts_of_the_real_scans_agree() {
         ..Default::default()
     };
     let with_camera_poses = crate::open_with(&path, &options).unwrap();
+    assert!(with_camera_poses.notes()[0].ends_with("00.poses_cam0.txt are taken as the camera's, by calib.txt"));
     let largest = |a: &Dataset, b: &Dataset| {
         let pairs = a.scans().iter().zip(b.scans());
         let differences = pairs.map(|(a, b)| {
