@@ -1,5 +1,7 @@
 //! Noise-free scans of surfaces that are known exactly, fused and meshed: how far is the mesh from the truth, and is it sound?
 
+#![allow(clippy::unwrap_used)] // test helpers
+
 use tsdfuse::{
     MapConfig, Mesh, VoxelMap,
     fuse::{Distance, FuseConfig, Method, RaycastConfig},

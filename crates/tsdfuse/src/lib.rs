@@ -1,4 +1,29 @@
-//! Real-time dense 3D reconstruction from LiDAR.
+//! Dense 3D reconstruction from LiDAR: [`Scan`]s with poses go in, a truncated signed distance field ([`VoxelMap`]) grows, and
+//! a [`Mesh`] comes out, at any time.
+//!
+//! ```
+//! use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3, mesh};
+//!
+//! let mut map = VoxelMap::new(MapConfig { voxel_size_m: 0.05, truncation_m: 0.20, ..Default::default() })?;
+//! let mut fuser = Raycast::default();
+//!
+//! // One scan: returns in the sensor frame (x forward, y left, z up), and where the sensor was.
+//! let wall = (-30..30).flat_map(|y| (-20..20).map(move |z| Vec3::new(4.0, 0.03 * y as f32, 0.03 * z as f32)));
+//! let scan = Scan { points: wall.collect(), pose: Pose::IDENTITY, ..Default::default() };
+//!
+//! let done = fuser.integrate(&mut map, &scan)?; // which blocks changed, what was left out
+//! assert!(!done.updated_blocks.is_empty());
+//! let mesh = mesh::extract(&map)?;
+//! assert!(mesh.vertices.iter().all(|v| (v.x - 4.0).abs() < 0.01));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The types to know: [`Scan`] (with [`Pose`] and [`scan::Motion`], by which movement during the sweep is undone),
+//! [`VoxelMap`], the trait [`Integrator`] with one type per method ([`Raycast`], [`Normals`]; by name: [`fuse::Method`]),
+//! [`Mesh`], and [`SensorModel`] for what a rotating LiDAR's beams look like.
+//!
+//! The crate reads no files; `tsdfuse-io` does. The work is spread over the threads of the current rayon pool, and the
+//! result does not depend on their number, bit for bit.
 
 pub mod fuse;
 pub mod index;
