@@ -21,7 +21,8 @@ pub(crate) struct RunConfig {
     pub(crate) method: Method,
     /// The voxels.
     pub(crate) map: MapConfig,
-    /// Which ranges are measurements. Unless it is set, the longest is the sensor's, where that is known.
+    /// Which ranges are measurements. Unless they are set, the shortest is the data set's and the longest the sensor's, where
+    /// these are known.
     pub(crate) range: RangeLimits,
     /// Options of the method `raycast`.
     pub(crate) raycast: RaycastConfig,
@@ -43,23 +44,8 @@ impl RunConfig {
     fn validate(&self) -> Result<(), Usage> {
         self.map.validate().map_err(Usage::new)?;
         self.methods().validate().map_err(Usage::new)?;
-        let RangeLimits {
-            min_range_m,
-            max_range_m,
-        } = self.range;
-        // Also false for NaN.
-        if !(min_range_m >= 0.0 && min_range_m < max_range_m) {
-            return Err(Usage::new(format_args!(
-                "no range is between min_range_m = {min_range_m} and max_range_m = {max_range_m}"
-            )));
-        }
-        let min_weight = self.mesh.min_weight;
-        if !(min_weight >= 0.0 && min_weight.is_finite()) {
-            return Err(Usage::new(format_args!(
-                "min_weight must be 0 or more, not {min_weight}"
-            )));
-        }
-        Ok(())
+        self.range.validate().map_err(Usage::new)?;
+        self.mesh.validate().map_err(Usage::new)
     }
 }
 
@@ -113,11 +99,15 @@ impl Layers {
         self.set(&format!("--set {setting}"), key, value)
     }
 
-    /// The whole configuration for the data of this sensor, checked.
-    pub(crate) fn resolve(self, sensor: Option<&SensorModel>) -> Result<RunConfig> {
-        let set = self.0.get("range").and_then(|range| range.get("max_range_m")).is_some();
+    /// The whole configuration for the data of this sensor, nearer than `min_range_m` to which is its vehicle; checked.
+    pub(crate) fn resolve(self, sensor: Option<&SensorModel>, min_range_m: Option<f32>) -> Result<RunConfig> {
+        let is_set = |limit: &str| self.0.get("range").and_then(|range| range.get(limit)).is_some();
+        let (min_is_set, max_is_set) = (is_set("min_range_m"), is_set("max_range_m"));
         let mut config: RunConfig = Value::Table(self.0).try_into().context("the configuration")?;
-        if let Some(sensor) = sensor.filter(|_| !set) {
+        if let Some(min_range_m) = min_range_m.filter(|_| !min_is_set) {
+            config.range.min_range_m = min_range_m;
+        }
+        if let Some(sensor) = sensor.filter(|_| !max_is_set) {
             config.range.max_range_m = sensor.max_range_m;
         }
         config.validate()?;
@@ -148,7 +138,7 @@ mod tests {
         layers.set_text("map.truncation_m = 1").unwrap();
         layers.set_text("raycast.distance=projective").unwrap();
         layers.set("--voxel-size", "map.voxel_size_m", 0.25).unwrap();
-        let config = layers.resolve(None).unwrap();
+        let config = layers.resolve(None, None).unwrap();
         assert_eq!(
             (config.map.voxel_size_m, config.map.truncation_m, config.map.max_weight),
             (0.25, 1.0, 7.0)
@@ -158,16 +148,17 @@ mod tests {
     }
 
     #[test]
-    fn the_longest_range_is_the_sensors_unless_it_is_set() {
+    fn ranges_are_the_data_sets_and_the_sensors_unless_they_are_set() {
         let sensor = tsdfuse::sensor::model("vlp16").unwrap();
         let of = |setting: Option<&str>| {
             let mut layers = Layers::default();
             setting.into_iter().for_each(|s| layers.set_text(s).unwrap());
-            layers.resolve(Some(&sensor)).unwrap().range.max_range_m
+            let range = layers.resolve(Some(&sensor), Some(2.5)).unwrap().range;
+            (range.min_range_m, range.max_range_m)
         };
-        assert_eq!(of(None), sensor.max_range_m);
-        assert_eq!(of(Some("range.min_range_m=1")), sensor.max_range_m);
-        assert_eq!(of(Some("range.max_range_m=30")), 30.0);
+        assert_eq!(of(None), (2.5, sensor.max_range_m));
+        assert_eq!(of(Some("range.min_range_m=1")), (1.0, sensor.max_range_m));
+        assert_eq!(of(Some("range.max_range_m=30")), (2.5, 30.0));
     }
 
     #[test]
@@ -204,7 +195,7 @@ mod tests {
         let resolved = |setting: &str| {
             let mut layers = Layers::default();
             layers.set_text(setting).unwrap();
-            message(layers.resolve(None))
+            message(layers.resolve(None, None))
         };
         assert!(resolved("map.voxel_size_m=-1").contains("voxel_size_m"));
         assert!(resolved("range.max_range_m=0.1").contains("max_range_m = 0.1"));

@@ -72,21 +72,18 @@ pub(crate) fn not_parsed(error: &clap::Error) -> ExitCode {
     ExitCode::from(2)
 }
 
-/// An error and its causes, each told once.
+/// An error and its causes.
 pub(crate) fn one_line(error: &anyhow::Error) -> String {
-    let mut line = String::new();
-    for cause in error.chain().map(|cause| cause.to_string().replace('\n', " ")) {
-        if !line.ends_with(&cause) {
-            line += if line.is_empty() { "" } else { ": " };
-            line += &cause;
-        }
-    }
-    line
+    let causes: Vec<_> = error.chain().map(ToString::to_string).collect();
+    causes.join(": ").replace('\n', " ")
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
-    let mut causes = error.chain().filter_map(|cause| cause.downcast_ref::<io::Error>());
-    causes.any(|cause| cause.kind() == io::ErrorKind::BrokenPipe)
+    let is = |error: &io::Error| error.kind() == io::ErrorKind::BrokenPipe;
+    error.chain().any(|cause| match cause.downcast_ref() {
+        Some(tsdfuse_io::Error::Io { reason, .. }) => is(reason),
+        _ => cause.downcast_ref().is_some_and(is),
+    })
 }
 
 #[cfg(test)]

@@ -1,24 +1,23 @@
-//! `tsdfuse fuse`: scans and poses in, a mesh out.
+//! `tsdfuse fuse`: scans and poses in, a mesh or a map out.
 
 mod args;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use indicatif::ProgressBar;
-use tsdfuse::mesh::extract_with;
 use tsdfuse::scan::RangeLimits;
-use tsdfuse::{Integrator, Mesh, Scan, VoxelMap};
+use tsdfuse::{Integrator, Scan, VoxelMap};
 use tsdfuse_io::{Dataset, OpenOptions, ReadScan};
 
 pub(crate) use args::Args;
 
-use crate::config::RunConfig;
 use crate::exit::{Outcome, one_line};
+use crate::mesh::surface;
 use crate::progress::{self, note, say};
 use crate::report::{
-    DatasetReport, MapReport, MeshReport, Report, ScanReport, SkippedScan, Sums, Totals, left_out, peak_memory_bytes,
+    DatasetReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, left_out, peak_memory_bytes,
     print_json,
 };
 
@@ -35,7 +34,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     dataset.notes().iter().for_each(note);
     let indices = args.indices(dataset.len())?;
     let sensor = dataset.sensor();
-    let config = layers.resolve(sensor.as_ref())?;
+    let config = layers.resolve(sensor.as_ref(), dataset.min_range_m())?;
 
     let mut fusion = Fusion {
         dataset: args.dataset.clone(),
@@ -48,10 +47,10 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let fusing = Instant::now();
     fusion.fuse_all(&dataset, indices, args)?;
     let fusing_seconds = fusing.elapsed().as_secs_f64();
-    let (mesh, mut mesh_report) = surface(&fusion.map, &config, &args.output)?;
-    let writing = Instant::now();
-    tsdfuse_io::mesh::write(&args.output, &mesh)?;
-    mesh_report.write_seconds = writing.elapsed().as_secs_f64();
+    let save = |path| SavedMap::write(&fusion.map, path);
+    let saved_map = args.save_map.as_deref().map(save).transpose()?;
+    let extract = |path| surface(&fusion.map, &config.mesh, path);
+    let mesh = args.output.as_deref().map(extract).transpose()?;
 
     let report = Report {
         version: env!("CARGO_PKG_VERSION"),
@@ -73,7 +72,8 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         map: MapReport::of(&fusion.map),
         scans: fusion.scans,
         skipped_scans: fusion.skipped,
-        mesh: mesh_report,
+        saved_map,
+        mesh,
         peak_memory_bytes: peak_memory_bytes(),
         wall_seconds: start.elapsed().as_secs_f64(),
     };
@@ -164,21 +164,4 @@ impl Fusion {
         self.scans.iter().for_each(|scan| sums += &scan.sums);
         sums
     }
-}
-
-/// Extracts the mesh, which must not be empty.
-fn surface(map: &VoxelMap, config: &RunConfig, path: &Path) -> Result<(Mesh, MeshReport)> {
-    let start = Instant::now();
-    let spinner = progress::working("extracting the surface");
-    let mesh = extract_with(map, &config.mesh)?;
-    drop(spinner);
-    if mesh.triangles.is_empty() {
-        bail!(
-            "the map has no surface: {} blocks of voxels, but no triangle at a weight of {} or more",
-            map.block_count(),
-            config.mesh.min_weight
-        );
-    }
-    let report = MeshReport::of(&mesh, path, start.elapsed().as_secs_f64());
-    Ok((mesh, report))
 }

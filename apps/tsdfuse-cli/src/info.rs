@@ -1,5 +1,6 @@
-//! `tsdfuse info`: what lies in a data set.
+//! `tsdfuse info`: what lies in a data set or in a saved map.
 
+mod map;
 mod table;
 
 use std::path::PathBuf;
@@ -14,18 +15,20 @@ use tsdfuse_io::{Dataset, ScanRef};
 use crate::exit::{Outcome, one_line};
 use crate::progress;
 use crate::report::{print, print_json};
+use map::MapInfo;
 
 const EXAMPLES: &str = "\
 Examples:
   tsdfuse info pandaset/002
-  tsdfuse info kitti/sequences/00 --sample 200 --json";
+  tsdfuse info kitti/sequences/00 --sample 200 --json
+  tsdfuse info street.tsdf";
 
-/// Say what lies in a data set: format, sensor, scans, points, extent.
+/// Say what lies in a data set (format, sensor, scans, points, extent) or in a saved map.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// The data set's folder.
-    dataset: PathBuf,
+    /// The data set's folder, or the file of a saved map.
+    path: PathBuf,
     /// How many scans are read, spread evenly over all.
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     sample: u32,
@@ -86,9 +89,17 @@ struct Points {
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
-    let dataset = tsdfuse_io::open(&args.dataset)?;
+    if tsdfuse_io::map_file::recognises(&args.path) {
+        let info = MapInfo::read(&args.path)?;
+        match args.json {
+            true => print_json(&info)?,
+            false => print(&info.table())?,
+        }
+        return Ok(Outcome::Complete);
+    }
+    let dataset = tsdfuse_io::open(&args.path)?;
     let mut info = Info {
-        path: args.dataset.clone(),
+        path: args.path.clone(),
         format: dataset.format(),
         scans: dataset.len(),
         sensor: dataset.sensor(),

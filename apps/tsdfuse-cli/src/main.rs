@@ -4,6 +4,8 @@ mod config;
 mod exit;
 mod fuse;
 mod info;
+mod mesh;
+mod output;
 mod progress;
 mod report;
 mod simulate;
@@ -23,6 +25,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Fuse(Box<fuse::Args>),
+    Mesh(mesh::Args),
     Simulate(simulate::Args),
     Info(info::Args),
 }
@@ -34,6 +37,7 @@ fn main() -> ExitCode {
     };
     exit::code(match &cli.command {
         Command::Fuse(args) => fuse::run(args),
+        Command::Mesh(args) => mesh::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
     })

@@ -2,6 +2,7 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use anyhow::{Context, Result};
 use indicatif::{BinaryBytes, HumanCount};
@@ -34,11 +35,13 @@ pub(crate) struct Report {
     pub(crate) totals: Totals,
     /// The map after the last scan.
     pub(crate) map: MapReport,
-    /// The surface.
-    pub(crate) mesh: MeshReport,
+    /// The file that the map was saved to.
+    pub(crate) saved_map: Option<SavedMap>,
+    /// The surface, if it was asked for.
+    pub(crate) mesh: Option<MeshReport>,
     /// The most memory that the process held, where the system tells.
     pub(crate) peak_memory_bytes: Option<u64>,
-    /// From start to the finished mesh file.
+    /// From start to the last file that was finished, but this report.
     pub(crate) wall_seconds: f64,
 }
 
@@ -107,6 +110,15 @@ pub(crate) struct MapReport {
     pub(crate) bytes: usize,
 }
 
+/// The file that the map was saved to.
+#[derive(Debug, Serialize)]
+pub(crate) struct SavedMap {
+    pub(crate) path: PathBuf,
+    pub(crate) bytes: u64,
+    /// Writing it.
+    pub(crate) seconds: f64,
+}
+
 /// The surface.
 #[derive(Debug, Default, Serialize)]
 pub(crate) struct MeshReport {
@@ -139,6 +151,30 @@ impl MapReport {
             bytes: map.memory_bytes(),
         }
     }
+
+    /// A line for people.
+    pub(crate) fn summarize(&self, peak_memory_bytes: Option<u64>) {
+        say(format_args!(
+            "  map      {} blocks, {} voxels observed, {}{}",
+            HumanCount(self.blocks as u64),
+            HumanCount(self.observed_voxels as u64),
+            BinaryBytes(self.bytes as u64),
+            peak_memory_bytes.map_or(String::new(), |bytes| format!("; peak memory {}", BinaryBytes(bytes)))
+        ));
+    }
+}
+
+impl SavedMap {
+    /// Saves a map.
+    pub(crate) fn write(map: &VoxelMap, path: &Path) -> Result<Self> {
+        let start = Instant::now();
+        tsdfuse_io::map_file::write(path, map)?;
+        Ok(Self {
+            path: path.to_owned(),
+            bytes: std::fs::metadata(path).map_or(0, |file| file.len()),
+            seconds: start.elapsed().as_secs_f64(),
+        })
+    }
 }
 
 impl MeshReport {
@@ -149,6 +185,20 @@ impl MeshReport {
             triangles: mesh.triangles.len(),
             seconds,
             write_seconds: 0.0,
+        }
+    }
+
+    /// A line for people.
+    pub(crate) fn summarize(&self) {
+        let count = |n: usize| HumanCount(n as u64);
+        let (vertices, triangles) = (count(self.vertices), count(self.triangles));
+        say(format_args!("  mesh     {triangles} triangles, {vertices} vertices"));
+    }
+
+    /// A line for people: where the mesh lies, if it is a file.
+    pub(crate) fn say_where(&self) {
+        if self.path.as_os_str() != "-" {
+            say(format_args!("  wrote    {}", self.path.display()));
         }
     }
 }
@@ -168,24 +218,25 @@ impl Report {
         say(format_args!("{scans} scans fused in {seconds:.2} s, {rate:.1} scans/s"));
         let (points, fused) = (HumanCount(sums.points), HumanCount(sums.fused));
         say(format_args!("  points   {fused} of {points} fused{}", left_out(sums)));
-        let count = |n: usize| HumanCount(n as u64);
+        self.map.summarize(self.peak_memory_bytes);
+        let (saved, mesh) = (self.saved_map.as_ref(), self.mesh.as_ref());
+        mesh.inspect(|mesh| mesh.summarize());
         say(format_args!(
-            "  map      {} blocks, {} voxels observed, {}{}",
-            count(self.map.blocks),
-            count(self.map.observed_voxels),
-            BinaryBytes(self.map.bytes as u64),
-            self.peak_memory_bytes
-                .map_or(String::new(), |bytes| format!("; peak memory {}", BinaryBytes(bytes)))
+            "  seconds  read {:.2} (in the background), prepare {:.2}, fuse {:.2}{}{}; in all {:.2}",
+            sums.read,
+            sums.prepare,
+            sums.fuse,
+            saved.map_or(String::new(), |map| format!(", save map {:.2}", map.seconds)),
+            mesh.map_or(String::new(), |mesh| format!(
+                ", mesh {:.2}, write {:.2}",
+                mesh.seconds, mesh.write_seconds
+            )),
+            self.wall_seconds
         ));
-        let (vertices, triangles) = (count(self.mesh.vertices), count(self.mesh.triangles));
-        say(format_args!("  mesh     {triangles} triangles, {vertices} vertices"));
-        say(format_args!(
-            "  seconds  read {:.2} (in the background), prepare {:.2}, fuse {:.2}, mesh {:.2}, write {:.2}; in all {:.2}",
-            sums.read, sums.prepare, sums.fuse, self.mesh.seconds, self.mesh.write_seconds, self.wall_seconds
-        ));
-        if self.mesh.path.as_os_str() != "-" {
-            say(format_args!("  wrote    {}", self.mesh.path.display()));
+        if let Some(SavedMap { path, bytes, .. }) = saved {
+            say(format_args!("  wrote    {}, {}", path.display(), BinaryBytes(*bytes)));
         }
+        mesh.inspect(|mesh| mesh.say_where());
     }
 }
 

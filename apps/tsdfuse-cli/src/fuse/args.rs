@@ -1,10 +1,10 @@
 //! The arguments of `tsdfuse fuse`, and what they mean.
 
-use std::io::IsTerminal;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::{Context, Result, bail};
+use clap::ArgGroup;
 use clap::builder::PossibleValuesParser;
 use tsdfuse::MapConfig;
 use tsdfuse::fuse::Method;
@@ -13,28 +13,30 @@ use tsdfuse::scan::RangeLimits;
 
 use crate::config::Layers;
 use crate::exit::Usage;
+use crate::output;
 use crate::progress::note;
-
-/// Extensions of the meshes that [`tsdfuse_io::mesh::write`] writes.
-const MESHES: [&str; 3] = ["ply", "glb", "obj"];
 
 const EXAMPLES: &str = "\
 Examples:
   tsdfuse fuse pandaset/002 -o street.ply
   tsdfuse fuse kitti/sequences/00 -o street.ply --scans 0..80 --voxel-size 0.1 --truncation 0.3
+  tsdfuse fuse pandaset/002 --save-map street.tsdf
   tsdfuse fuse street -o street.ply --config run.toml --set raycast.distance=projective
 
 Settings: defaults < --config < --set < flags. A report holds all of them.";
 
 /// Fuse scans into a map and extract its surface.
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_help = EXAMPLES, group(ArgGroup::new("result").args(["output", "save_map"]).required(true).multiple(true)))]
 pub(crate) struct Args {
     /// The data set; its format (PandaSet, KITTI, a plain folder, ...) is recognised.
     pub(super) dataset: PathBuf,
     /// The mesh to write, .ply, .glb or .obj; `-` writes PLY to standard output.
     #[arg(short, long, value_name = "FILE")]
-    pub(super) output: PathBuf,
+    pub(super) output: Option<PathBuf>,
+    /// Save the map, for `tsdfuse mesh`; --output may then be missing.
+    #[arg(long, value_name = "FILE")]
+    pub(super) save_map: Option<PathBuf>,
     #[arg(long, value_parser = PossibleValuesParser::new(Method::ALL.iter().map(|m| m.name())),
         help = format!("How scans are fused [default: {}]", Method::default().name()))]
     method: Option<String>,
@@ -54,7 +56,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "NAME")]
     pub(super) sensor: Option<String>,
     #[arg(long, value_name = "M",
-        help = format!("Nearer returns are left out, metres [default: {}]", RangeLimits::default().min_range_m))]
+        help = format!("Nearer returns are left out, metres [default: the data set's, or {}]", RangeLimits::default().min_range_m))]
     min_range: Option<f64>,
     #[arg(long, value_name = "M",
         help = format!("Farther returns are left out, metres [default: the sensor's, or {}]", RangeLimits::default().max_range_m))]
@@ -117,32 +119,11 @@ impl Args {
 
     /// Finds out before the work, not after it, that its results could not be written.
     pub(super) fn check_outputs(&self) -> Result<()> {
-        let to_stdout = self.output.as_os_str() == "-";
-        if to_stdout && self.json {
-            return Err(Usage::new("--output - and --json cannot both have standard output").into());
+        if let Some(mesh) = &self.output {
+            output::check_mesh(mesh, self.json)?;
         }
-        if to_stdout && std::io::stdout().is_terminal() {
-            return Err(Usage::new("--output - would write a binary file to the terminal").into());
-        }
-        let extension = self.output.extension().and_then(|e| e.to_str()).unwrap_or_default();
-        if !to_stdout && !MESHES.contains(&extension.to_ascii_lowercase().as_str()) {
-            let path = self.output.display();
-            return Err(Usage::new(format_args!("{path}: a mesh is written as .{}", MESHES.join(", ."))).into());
-        }
-        let mesh = Some(&self.output).filter(|_| !to_stdout);
-        for path in mesh.into_iter().chain(&self.report) {
-            let folder = path
-                .parent()
-                .filter(|p| !p.as_os_str().is_empty())
-                .unwrap_or(Path::new("."));
-            if !folder.is_dir() {
-                bail!("{}: there is no folder {}", path.display(), folder.display());
-            }
-            if path.is_dir() {
-                bail!("{}: is a folder, not a file to write", path.display());
-            }
-        }
-        Ok(())
+        let files = self.save_map.iter().chain(&self.report);
+        files.map(PathBuf::as_path).try_for_each(output::check_file)
     }
 
     pub(super) fn set_threads(&self) -> Result<()> {

@@ -54,7 +54,7 @@ pub(super) fn of(info: &Info) -> String {
     info.notes.iter().for_each(|note| rows.add("note", note));
     let unreadable = sample.unreadable.iter();
     unreadable.for_each(|reason| rows.add("unreadable", reason));
-    rows.0
+    rows.finish()
 }
 
 fn sensor_line(info: &Info) -> String {
@@ -81,7 +81,7 @@ fn scans_line(info: &Info) -> String {
     format!("{}{timed}{}", info.scans, rate.unwrap_or_default())
 }
 
-fn extent_line(low: DVec3, high: DVec3) -> String {
+pub(super) fn extent_line(low: DVec3, high: DVec3) -> String {
     let side = |axis: usize| format!("{:.1} to {:.1}", low[axis], high[axis]);
     let DVec3 { x, y, z } = high - low;
     let [from_x, from_y, from_z] = [side(0), side(1), side(2)];
@@ -90,10 +90,14 @@ fn extent_line(low: DVec3, high: DVec3) -> String {
 
 /// A table of two columns.
 #[derive(Default)]
-struct Rows(String);
+pub(super) struct Rows(String);
 
 impl Rows {
-    fn add(&mut self, name: &str, value: impl Display) {
+    pub(super) fn add(&mut self, name: &str, value: impl Display) {
         self.0 += &format!("{name:<12}{value}\n");
+    }
+
+    pub(super) fn finish(self) -> String {
+        self.0
     }
 }

@@ -94,7 +94,7 @@ fn results_that_cannot_be_written_are_refused_before_the_work() {
     assert!(line.contains("folder.ply: is a folder"), "{line}");
     let line = tsdfuse(&["fuse", &set, "-o", &folder.text("mesh.stl")]).failed(2);
     assert!(
-        line.contains("mesh.stl: a mesh is written as .ply, .glb, .obj"),
+        line.contains("mesh.stl: a mesh is written as .ply, .glb or .obj"),
         "{line}"
     );
     assert_eq!(names(&folder.path("")), ["folder.ply"]);
@@ -148,5 +148,5 @@ fn wrong_arguments_and_settings_are_named_with_what_is_possible() {
     let line = tsdfuse(&["fuse", &set, "-o", "-", "--json"]).failed(2);
     assert!(line.contains("standard output"), "{line}");
     let line = tsdfuse(&["fuse", &set]).failed(2);
-    assert!(line.contains("--output <FILE>"), "{line}");
+    assert!(line.contains("<--output <FILE>|--save-map <FILE>>"), "{line}");
 }

@@ -246,6 +246,10 @@ fn the_sample_of_pandaset_fuses() {
         (&"PandaSet".into(), &"pandar64".into())
     );
     assert_eq!(report["totals"]["scans"], 3);
+    // The vehicle itself, about 640 returns a scan.
+    assert_eq!(report["config"]["range"]["min_range_m"], 2.0);
+    let too_near = report["totals"]["dropped"]["too_near"].as_u64().unwrap();
+    assert!((1500..2400).contains(&too_near), "{too_near}");
     assert!(report["totals"]["fused"].as_u64().unwrap() > 300_000);
     assert!(ply::read(mesh.as_ref()).1 > 100_000);
 }

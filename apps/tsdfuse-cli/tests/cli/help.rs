@@ -9,6 +9,7 @@ fn help_texts_are_as_agreed() {
     for (name, arguments) in [
         ("tsdfuse", &["--help"][..]),
         ("fuse", &["fuse", "--help"]),
+        ("mesh", &["mesh", "--help"]),
         ("simulate", &["simulate", "--help"]),
         ("info", &["info", "--help"]),
     ] {

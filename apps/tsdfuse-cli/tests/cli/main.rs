@@ -6,6 +6,7 @@ mod bad_input;
 mod fuse;
 mod help;
 mod info;
+mod map;
 mod ply;
 mod run;
 mod simulate;

@@ -1,0 +1,77 @@
+//! What `tsdfuse info` tells of a saved map.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use glam::{DVec3, IVec3};
+use indicatif::{BinaryBytes, HumanCount};
+use serde::Serialize;
+use tsdfuse::index::voxel_at;
+use tsdfuse::{MapConfig, VoxelMap};
+
+use super::table::{Rows, extent_line};
+use crate::report::MapReport;
+
+/// What a saved map holds.
+#[derive(Debug, Serialize)]
+pub(super) struct MapInfo {
+    path: PathBuf,
+    format: &'static str,
+    file_bytes: u64,
+    config: MapConfig,
+    #[serde(flatten)]
+    map: MapReport,
+    /// The corners of the box around all observed voxels, world, metres.
+    extent_m: Option<[DVec3; 2]>,
+}
+
+impl MapInfo {
+    pub(super) fn read(path: &Path) -> Result<Self> {
+        let map = tsdfuse_io::map_file::read(path)?;
+        let file = std::fs::metadata(path).with_context(|| path.display().to_string())?;
+        Ok(Self {
+            path: path.to_owned(),
+            format: "tsdfuse map",
+            file_bytes: file.len(),
+            config: *map.config(),
+            map: MapReport::of(&map),
+            extent_m: extent_m(&map),
+        })
+    }
+
+    /// All that is known, a line each.
+    pub(super) fn table(&self) -> String {
+        let mut rows = Rows::default();
+        rows.add(
+            "map",
+            format!("{} ({})", self.path.display(), BinaryBytes(self.file_bytes)),
+        );
+        rows.add("voxel size", format!("{} m", self.config.voxel_size_m));
+        rows.add("truncation", format!("{} m", self.config.truncation_m));
+        rows.add("max weight", self.config.max_weight);
+        rows.add("blocks", HumanCount(self.map.blocks as u64));
+        rows.add(
+            "observed",
+            format!("{} voxels", HumanCount(self.map.observed_voxels as u64)),
+        );
+        rows.add("memory", BinaryBytes(self.map.bytes as u64));
+        if let Some([low, high]) = self.extent_m {
+            rows.add("extent", extent_line(low, high));
+        }
+        rows.finish()
+    }
+}
+
+fn extent_m(map: &VoxelMap) -> Option<[DVec3; 2]> {
+    let mut extent: Option<[IVec3; 2]> = None;
+    for index in map.block_indices() {
+        let voxels = map.block(index).into_iter().flat_map(|block| (0..).zip(&block.voxels));
+        for (number, _) in voxels.filter(|(_, voxel)| voxel.weight_sum > 0) {
+            let voxel = voxel_at(index, number);
+            let [low, high] = extent.unwrap_or([voxel; 2]);
+            extent = Some([low.min(voxel), high.max(voxel)]);
+        }
+    }
+    let corner = |voxel: IVec3| voxel.as_dvec3() * map.config().voxel_size_m;
+    extent.map(|[low, high]| [corner(low), corner(high + 1)])
+}
