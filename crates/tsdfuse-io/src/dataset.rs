@@ -44,6 +44,10 @@ pub trait Source: Send + Sync {
     fn sensor(&self) -> Option<SensorModel> {
         None
     }
+    /// Returns nearer than this, metres, are the vehicle that carries the sensor, where that was measured.
+    fn min_range_m(&self) -> Option<f32> {
+        None
+    }
     /// What is missing or odd, one sentence each: frames without scan, scans without pose, …
     fn notes(&self) -> &[String] {
         &[]
@@ -158,6 +162,12 @@ impl Dataset {
     /// The sensor's model, where the data set states it.
     pub fn sensor(&self) -> Option<SensorModel> {
         self.source.sensor()
+    }
+
+    /// Returns nearer than this, metres, are the vehicle that carries the sensor, where that is known; they are still in the
+    /// scans.
+    pub fn min_range_m(&self) -> Option<f32> {
+        self.source.min_range_m()
     }
 
     /// Reads scan `index`; invalid returns are still in it, as measured.

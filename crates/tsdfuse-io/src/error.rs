@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The operating system refused.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {reason}", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
+        /// What the system said. Part of the message, so [`std::error::Error::source`] does not give it again.
+        reason: std::io::Error,
     },
     /// The bytes are not what the format promises.
     #[error("{}: {reason}", path.display())]
@@ -34,9 +34,9 @@ pub enum Error {
 impl Error {
     /// Wraps a system error with its path.
     pub fn io(path: impl AsRef<Path>) -> impl FnOnce(std::io::Error) -> Self {
-        move |source| Self::Io {
+        move |reason| Self::Io {
             path: path.as_ref().to_owned(),
-            source,
+            reason,
         }
     }
 

@@ -18,6 +18,7 @@ pub mod fuzzing;
 pub mod glb;
 pub mod kitti;
 pub mod kitti_raw;
+pub mod map_file;
 pub mod mesh;
 pub mod obj;
 pub mod pandaset;

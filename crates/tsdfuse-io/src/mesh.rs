@@ -20,16 +20,27 @@ pub fn write(path: impl AsRef<Path>, mesh: &Mesh) -> Result<()> {
             .and_then(|()| out.flush())
             .map_err(Error::io("standard output"));
     }
-    match path
-        .extension()
-        .and_then(|e| e.to_str())
-        .unwrap_or_default()
-        .to_ascii_lowercase()
-        .as_str()
-    {
-        "ply" => ply::write(path, mesh),
-        "glb" => glb::write(path, mesh),
-        "obj" => obj::write(path, mesh),
+    writer(path)?(path, mesh)
+}
+
+/// Finds out before the work whether [`write()`] knows a format for this path.
+///
+/// # Errors
+/// Names the file and the extensions there are.
+pub fn check(path: impl AsRef<Path>) -> Result<()> {
+    let path = path.as_ref();
+    match path.as_os_str() == "-" {
+        true => Ok(()),
+        false => writer(path).map(drop),
+    }
+}
+
+fn writer(path: &Path) -> Result<fn(&Path, &Mesh) -> Result<()>> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    match extension.to_ascii_lowercase().as_str() {
+        "ply" => Ok(|path, mesh| ply::write(path, mesh)),
+        "glb" => Ok(|path, mesh| glb::write(path, mesh)),
+        "obj" => Ok(|path, mesh| obj::write(path, mesh)),
         _ => Err(Error::dataset(path, "a mesh is written as .ply, .glb or .obj")),
     }
 }
@@ -43,6 +54,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         for (name, start) in [("a.ply", "ply\n"), ("a.GLB", "glTF"), ("a.obj", "# tsdfuse")] {
             let path = dir.path().join(name);
+            check(&path).unwrap();
             write(&path, &Mesh::default()).unwrap();
             assert!(std::fs::read(&path).unwrap().starts_with(start.as_bytes()), "{name}");
         }
@@ -53,5 +65,7 @@ mod tests {
             refused.ends_with("a.stl: a mesh is written as .ply, .glb or .obj"),
             "{refused}"
         );
+        assert_eq!(check(dir.path().join("a.stl")).unwrap_err().to_string(), refused);
+        check("-").unwrap();
     }
 }

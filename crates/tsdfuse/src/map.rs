@@ -31,6 +31,9 @@ const MAX_WEIGHT_SUM: u32 = (MAX_WEIGHT as u32) * WEIGHT_SCALE;
 // One update more fits both sums.
 const _: () = assert!(MAX_WEIGHT_SUM as u64 + WEIGHT_SCALE as u64 <= i32::MAX as u64);
 
+/// Blocks farther out are refused by [`VoxelMap::insert_block`]: ±107 000 km at 5 cm.
+const MAX_BLOCK: u32 = (1 << 28) - 2;
+
 /// Parts of the block table.
 pub const SHARDS: usize = 64;
 
@@ -78,6 +81,28 @@ pub enum MapError {
     /// Zero would never remember, more does not fit.
     #[error("max_weight must be above 0 and at most {MAX_WEIGHT}, not {0}")]
     MaxWeight(f32),
+    /// A block can be put into a map once.
+    #[error("block {:?} is there already", block.0.to_array())]
+    Occupied {
+        /// Which.
+        block: BlockIndex,
+    },
+    /// Voxels of the block or of its neighbours would have no 32-bit coordinates.
+    #[error("block {:?} lies outside of the grid", block.0.to_array())]
+    Outside {
+        /// Which.
+        block: BlockIndex,
+    },
+    /// The sums are not those of any observations.
+    #[error("block {:?}: voxel {number} cannot hold a weight of {} and a distance of {}", block.0.to_array(), voxel.weight_sum, voxel.distance_sum)]
+    Voxel {
+        /// The voxel's block.
+        block: BlockIndex,
+        /// Its [`local_number`].
+        number: usize,
+        /// Its sums.
+        voxel: Voxel,
+    },
 }
 
 impl MapConfig {
@@ -140,6 +165,11 @@ impl Voxel {
         if self.weight_sum > MAX_WEIGHT_SUM {
             self.limit(MAX_WEIGHT_SUM);
         }
+    }
+
+    /// Whether observations can sum up to this.
+    fn is_possible(self) -> bool {
+        self.weight_sum <= MAX_WEIGHT_SUM && self.distance_sum.unsigned_abs() <= self.weight_sum
     }
 
     /// Limits the weight to `max_sum` (fixed point), keeping F.
@@ -243,6 +273,28 @@ impl VoxelMap {
         })
     }
 
+    /// Puts in a block that was made elsewhere: read from a file, for instance.
+    ///
+    /// # Errors
+    /// [`MapError`] names the block if it is there already, lies outside of the grid, or holds sums that no observations
+    /// have; the map is as before then.
+    pub fn insert_block(&mut self, index: BlockIndex, block: Block) -> Result<(), MapError> {
+        if index.0.to_array().iter().any(|i| i.unsigned_abs() > MAX_BLOCK) {
+            return Err(MapError::Outside { block: index });
+        }
+        if let Some((number, &voxel)) = block.voxels.iter().enumerate().find(|(_, v)| !v.is_possible()) {
+            let block = index;
+            return Err(MapError::Voxel { block, number, voxel });
+        }
+        let shard = &mut self.shards[shard_of(index)];
+        if shard.slots.contains_key(&index) {
+            return Err(MapError::Occupied { block: index });
+        }
+        let slot = shard.slot_or_insert(index);
+        shard.blocks[slot as usize] = block;
+        Ok(())
+    }
+
     /// What the map was made with.
     pub fn config(&self) -> &MapConfig {
         &self.config
@@ -336,6 +388,46 @@ mod tests {
                 .contains("between 1 and 64 voxels")
         );
         assert!(with(|c| c.max_weight = 1e9).unwrap().contains("max_weight"));
+    }
+
+    #[test]
+    fn blocks_are_put_in_once_and_only_with_sums_that_observations_have() {
+        let mut map = VoxelMap::new(MapConfig::default()).unwrap();
+        let with = |weight_sum, distance_sum| {
+            let mut block = Block::EMPTY;
+            block.voxels[77] = Voxel {
+                weight_sum,
+                distance_sum,
+            };
+            block
+        };
+        let at = |x| BlockIndex(IVec3::new(x, -2, 3));
+        for (x, block) in [(0, with(MAX_WEIGHT_SUM, -(MAX_WEIGHT_SUM as i32))), (1, with(5, 5))] {
+            map.insert_block(at(x), block.clone()).unwrap();
+            assert_eq!(map.block(at(x)), Some(&block));
+        }
+        let whole = map.clone();
+        let mut refused = |x, block| map.insert_block(at(x), block).unwrap_err().to_string();
+        assert_eq!(refused(1, with(1, 0)), "block [1, -2, 3] is there already");
+        assert_eq!(
+            refused(i32::MIN, with(1, 0)),
+            "block [-2147483648, -2, 3] lies outside of the grid"
+        );
+        for (weight, distance) in [
+            (0, 1),
+            (5, 6),
+            (5, -6),
+            (5, i32::MIN),
+            (MAX_WEIGHT_SUM + 1, 0),
+            (u32::MAX, 0),
+        ] {
+            let told = refused(2, with(weight, distance));
+            assert!(
+                told.starts_with("block [2, -2, 3]: voxel 77 cannot hold a weight of "),
+                "{told}"
+            );
+        }
+        assert_eq!((map.block_count(), &map), (2, &whole));
     }
 
     #[test]

@@ -94,6 +94,25 @@ impl Default for RangeLimits {
     }
 }
 
+/// No range is between the limits.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("no range is between min_range_m = {} and max_range_m = {}", .0.min_range_m, .0.max_range_m)]
+pub struct RangeError(pub RangeLimits);
+
+impl RangeLimits {
+    /// Checks that there are ranges between the limits.
+    ///
+    /// # Errors
+    /// [`RangeError`] names both limits.
+    pub fn validate(&self) -> Result<(), RangeError> {
+        // Also false for NaN.
+        match self.min_range_m >= 0.0 && self.min_range_m < self.max_range_m {
+            true => Ok(()),
+            false => Err(RangeError(*self)),
+        }
+    }
+}
+
 /// Why a scan cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ScanError {

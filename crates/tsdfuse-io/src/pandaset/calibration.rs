@@ -74,6 +74,17 @@ impl Sensor {
         }
     }
 
+    /// Returns nearer than this, metres, are the vehicle.
+    ///
+    /// Measured on the Pandar64's returns of sequence 002: those from the vehicle lie between 0.55 m and 1.40 m, and there is
+    /// none from there to 2.55 m, where what stands beside it begins.
+    pub(super) fn min_range_m(self) -> Option<f32> {
+        match self {
+            Self::Pandar64 => Some(2.0),
+            Self::PandarGt => None,
+        }
+    }
+
     /// `ego_from_sensor`: the vehicle's frame has y forward, the sensor's x forward.
     pub(super) fn ego_from_sensor(self) -> Pose {
         let ([x, y, z], origin) = EGO_FROM_PANDAR64;

@@ -163,6 +163,10 @@ impl Source for PandaSet {
         self.sensor.model()
     }
 
+    fn min_range_m(&self) -> Option<f32> {
+        self.sensor.min_range_m()
+    }
+
     fn notes(&self) -> &[String] {
         &self.notes
     }

@@ -36,9 +36,25 @@ impl Default for MeshConfig {
     }
 }
 
+impl MeshConfig {
+    /// Checks all fields.
+    ///
+    /// # Errors
+    /// [`MeshError`] names the field and its value.
+    pub fn validate(&self) -> Result<(), MeshError> {
+        match self.min_weight >= 0.0 && self.min_weight.is_finite() {
+            true => Ok(()),
+            false => Err(MeshError::MinWeight(self.min_weight)),
+        }
+    }
+}
+
 /// Why there is no mesh.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum MeshError {
+    /// A weight is 0 or more.
+    #[error("min_weight must be 0 or more, not {0}")]
+    MinWeight(f32),
     /// Vertices are numbered with 32 bits.
     #[error("the surface has {0} vertices, more than one mesh can number: extract it in parts")]
     TooManyVertices(u64),
