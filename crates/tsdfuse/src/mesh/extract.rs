@@ -147,23 +147,13 @@ impl Patch {
             triangles: 0,
         };
         near.load(map, index);
-        for local in 0..BLOCK_VOXELS {
-            let voxel = voxel_at(BlockIndex(IVec3::ZERO), local);
-            if !near.is_valid(voxel) {
-                continue;
-            }
-            for (axis, &step) in AXES.iter().enumerate() {
-                let other = voxel + step;
-                if near.is_negative(voxel) != near.is_negative(other) && near.is_valid(other) {
-                    let (u, w) = (AXES[(axis + 1) % 3], AXES[(axis + 2) % 3]);
-                    if [voxel, voxel - u, voxel - w, voxel - u - w]
-                        .iter()
-                        .any(|&cell| near.is_cell(cell))
-                    {
-                        let edge = 3 * local + axis;
-                        patch.bits[edge / 64] |= 1 << (edge % 64);
-                        patch.vertices += 1;
-                    }
+        for row in 0..64 {
+            for (axis, mut voxels) in near.vertices_in_row(row % 8, row / 8).into_iter().enumerate() {
+                patch.vertices += voxels.count_ones();
+                while voxels != 0 {
+                    let edge = 3 * (8 * row as usize + voxels.trailing_zeros() as usize) + axis;
+                    patch.bits[edge / 64] |= 1 << (edge % 64);
+                    voxels &= voxels - 1;
                 }
             }
         }
@@ -243,11 +233,13 @@ impl Neighbourhood {
     /// Calls back with the cell and the three edges of each triangle in the block's own cells.
     fn for_each_triangle(&self, mut found: impl FnMut(IVec3, [u8; 3])) {
         let table = &*TRIANGLES;
-        for local in 0..BLOCK_VOXELS {
-            let cell = voxel_at(BlockIndex(IVec3::ZERO), local);
-            let case = (0..8).fold(0, |case, c| case | usize::from(self.is_negative(cell + corner(c))) << c);
-            if case != 0 && case != 255 && self.is_cell(cell) {
-                table[case].iter().for_each(|&edges| found(cell, edges));
+        for row in 0..64 {
+            let (y, z) = (row % 8, row / 8);
+            let mut cells = self.surface_cells_in_row(y, z);
+            while cells != 0 {
+                let cell = IVec3::new(cells.trailing_zeros() as i32, y, z);
+                table[self.case(cell)].iter().for_each(|&edges| found(cell, edges));
+                cells &= cells - 1;
             }
         }
     }

@@ -11,16 +11,30 @@ use crate::{
 const EDGE: usize = 11;
 
 /// The voxels of one block and of the rim around it, by coordinates relative to the block's first voxel, −1..=9.
+///
+/// Rows along x also exist as bits, so that a whole row of cells or edges is judged at once: voxel x is bit x + 1.
 pub(super) struct Neighbourhood {
     voxels: [Voxel; EDGE * EDGE * EDGE],
+    /// Was the voxel observed?
+    valid: [u16; EDGE * EDGE],
+    /// Does the voxel lie behind the surface?
+    negative: [u16; EDGE * EDGE],
+    /// Are all eight corners of the cell above the voxel observed? For y, z in −1..=7.
+    cells: [u16; EDGE * EDGE],
     min_sum: u32,
 }
+
+/// The bits of the block's own voxels in a row.
+const OWN: u16 = 0b1_1111_1110;
 
 impl Neighbourhood {
     /// A neighbourhood to load blocks into; voxels with a weight sum below `min_sum` count as unobserved.
     pub(super) fn new(min_sum: u32) -> Self {
         Self {
             voxels: [Voxel::default(); EDGE * EDGE * EDGE],
+            valid: [0; EDGE * EDGE],
+            negative: [0; EDGE * EDGE],
+            cells: [0; EDGE * EDGE],
             min_sum: min_sum.max(1),
         }
     }
@@ -45,8 +59,58 @@ impl Neighbourhood {
                 copy(&mut row[..1], blocks[first], local + 7);
                 copy(&mut row[1..9], blocks[first + 1], local);
                 copy(&mut row[9..], blocks[first + 2], local);
+                let (mut valid, mut negative) = (0, 0);
+                for (x, voxel) in row.iter().enumerate() {
+                    valid |= u16::from(voxel.weight_sum >= self.min_sum) << x;
+                    negative |= u16::from(voxel.distance_sum < 0) << x;
+                }
+                (self.valid[row_of(y, z)], self.negative[row_of(y, z)]) = (valid, negative);
             }
         }
+        for z in -1..=7 {
+            for y in -1..=7 {
+                let [a, b, c, d] = four(&self.valid, y, z);
+                let all = a & b & c & d;
+                self.cells[row_of(y, z)] = all & all >> 1;
+            }
+        }
+    }
+
+    /// Which of the block's voxels in row (y, z) have a vertex on their grid edge along x, y and z: where the sign changes
+    /// between two observed voxels and at least one of the four cells about the edge is observed.
+    #[inline]
+    pub(super) fn vertices_in_row(&self, y: i32, z: i32) -> [u16; 3] {
+        let cells = |y, z| self.cells[row_of(y, z)];
+        let (here, below, behind, both) = (cells(y, z), cells(y - 1, z), cells(y, z - 1), cells(y - 1, z - 1));
+        // A cell's bit shifted up by one stands for the cell at x − 1.
+        let crossed = |rows: &[u16], row: usize| (rows[row_of(y, z)], rows[row]);
+        let along_row = |row: usize| {
+            let (n, n2) = crossed(&self.negative, row);
+            let (v, v2) = crossed(&self.valid, row);
+            (n ^ n2) & v & v2
+        };
+        let (n, v) = (self.negative[row_of(y, z)], self.valid[row_of(y, z)]);
+        let along_x = (n ^ n >> 1) & v & v >> 1 & (here | below | behind | both);
+        let (about_y, about_z) = (here | behind, here | below);
+        let along_y = along_row(row_of(y + 1, z)) & (about_y | about_y << 1);
+        let along_z = along_row(row_of(y, z + 1)) & (about_z | about_z << 1);
+        [along_x, along_y, along_z].map(|bits| (bits & OWN) >> 1)
+    }
+
+    /// Which of the block's cells in row (y, z) the surface passes: observed at all corners, on both sides of the surface.
+    #[inline]
+    pub(super) fn surface_cells_in_row(&self, y: i32, z: i32) -> u16 {
+        let [a, b, c, d] = four(&self.negative, y, z);
+        let (any, all) = (a | b | c | d, a & b & c & d);
+        let mixed = (any | any >> 1) & !(all & all >> 1);
+        (mixed & self.cells[row_of(y, z)] & OWN) >> 1
+    }
+
+    /// The set of a cell's negative corners, as numbered in [`super::cube`].
+    #[inline]
+    pub(super) fn case(&self, cell: IVec3) -> usize {
+        let pairs = four(&self.negative, cell.y, cell.z).map(|row| usize::from(row >> (cell.x + 1) & 3));
+        pairs[0] | pairs[1] << 2 | pairs[2] << 4 | pairs[3] << 6
     }
 
     #[inline]
@@ -56,14 +120,8 @@ impl Neighbourhood {
 
     /// Was the voxel observed?
     #[inline]
-    pub(super) fn is_valid(&self, voxel: IVec3) -> bool {
+    fn is_valid(&self, voxel: IVec3) -> bool {
         self.at(voxel).weight_sum >= self.min_sum
-    }
-
-    /// Does the voxel lie behind the surface?
-    #[inline]
-    pub(super) fn is_negative(&self, voxel: IVec3) -> bool {
-        self.at(voxel).distance_sum < 0
     }
 
     /// F of an observed voxel.
@@ -71,12 +129,6 @@ impl Neighbourhood {
     pub(super) fn distance(&self, voxel: IVec3) -> f32 {
         let v = self.at(voxel);
         v.distance_sum as f32 / v.weight_sum.max(1) as f32
-    }
-
-    /// Are all eight corners of the cell above `voxel` observed?
-    #[inline]
-    pub(super) fn is_cell(&self, voxel: IVec3) -> bool {
-        (0..8).all(|c| self.is_valid(voxel + corner(c)))
     }
 
     /// The field's gradient at an observed voxel, per voxel: central differences where both sides are observed.
@@ -104,4 +156,80 @@ pub(super) fn corner(c: usize) -> IVec3 {
 #[inline]
 fn offset(v: IVec3) -> usize {
     ((v.x + 1) + EDGE as i32 * ((v.y + 1) + EDGE as i32 * (v.z + 1))) as usize
+}
+
+#[inline]
+fn row_of(y: i32, z: i32) -> usize {
+    ((y + 1) + EDGE as i32 * (z + 1)) as usize
+}
+
+/// The rows of the four voxels of a cell that differ in y and z.
+#[inline]
+fn four(rows: &[u16], y: i32, z: i32) -> [u16; 4] {
+    [
+        rows[row_of(y, z)],
+        rows[row_of(y + 1, z)],
+        rows[row_of(y, z + 1)],
+        rows[row_of(y + 1, z + 1)],
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A block and its rim with voxels from a simple generator of random numbers.
+    fn random(seed: u64) -> Neighbourhood {
+        let mut map = VoxelMap::new(crate::MapConfig::default()).unwrap();
+        let mut state = seed;
+        for n in 0..27 {
+            let index = BlockIndex(IVec3::new(n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1));
+            let shard = &mut map.shards[crate::map::shard_of(index)];
+            let slot = shard.slot_or_insert(index);
+            for voxel in &mut shard.blocks_mut()[slot as usize].voxels {
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                let bits = (state >> 33) as u32;
+                *voxel = Voxel {
+                    weight_sum: 1000 * u32::from(!bits.is_multiple_of(8)),
+                    distance_sum: (bits >> 8 & 7) as i32 - 3,
+                };
+            }
+        }
+        let mut near = Neighbourhood::new(1);
+        near.load(&map, BlockIndex(IVec3::ZERO));
+        near
+    }
+
+    #[test]
+    fn rows_of_bits_say_what_each_voxel_says() {
+        let mut seen = [0; 2];
+        for seed in 0..20 {
+            let near = random(seed);
+            let negative = |v| near.at(v).distance_sum < 0;
+            let is_cell = |v| (0..8).all(|c| near.is_valid(v + corner(c)));
+            for local in 0..512 {
+                let v = crate::index::voxel_at(BlockIndex(IVec3::ZERO), local);
+                let vertices = near.vertices_in_row(v.y, v.z);
+                let axes = [IVec3::X, IVec3::Y, IVec3::Z];
+                for k in 0..3 {
+                    let (u, w) = (axes[(k + 1) % 3], axes[(k + 2) % 3]);
+                    let other = v + axes[k];
+                    let literal = near.is_valid(v)
+                        && near.is_valid(other)
+                        && negative(v) != negative(other)
+                        && [v, v - u, v - w, v - u - w].into_iter().any(is_cell);
+                    assert_eq!(vertices[k] >> v.x & 1 == 1, literal, "{v} along {k}");
+                    seen[0] += usize::from(literal);
+                }
+                let case = (0..8).fold(0, |case, c| case | usize::from(negative(v + corner(c))) << c);
+                assert_eq!(near.case(v), case);
+                let literal = is_cell(v) && case != 0 && case != 255;
+                assert_eq!(near.surface_cells_in_row(v.y, v.z) >> v.x & 1 == 1, literal, "{v}");
+                seen[1] += usize::from(literal);
+            }
+        }
+        assert!(seen.iter().all(|&n| n > 1000), "{seen:?}");
+    }
 }
