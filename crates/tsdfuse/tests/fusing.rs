@@ -264,6 +264,21 @@ fn the_weight_is_limited_and_the_map_follows() {
 }
 
 #[test]
+fn the_narrowest_band_still_holds_a_surface() {
+    for form in FORMS {
+        let config = MapConfig {
+            truncation_m: 0.05,
+            ..Default::default()
+        };
+        let mut map = VoxelMap::new(config).unwrap();
+        Raycast::new(RaycastConfig { distance: form })
+            .integrate(&mut map, &scan(0, 200_000))
+            .unwrap();
+        assert!(mesh::extract(&map).unwrap().triangles.len() > 10_000, "{form:?}");
+    }
+}
+
+#[test]
 fn hostile_returns_are_skipped_and_counted() {
     let mut map = VoxelMap::new(MapConfig::default()).unwrap();
     let bad = [

@@ -3,7 +3,7 @@
 //! The time at which the line crosses a voxel border is computed from the border's number, never summed up: so the walk and
 //! the literal test "does the line spend time in this voxel?" use the same numbers and agree exactly.
 
-use glam::{IVec3, Vec3};
+use glam::{IVec3, Vec3, Vec3A};
 
 use super::cylinder::{Member, round};
 use crate::index::GridPoint;
@@ -32,71 +32,69 @@ impl Segment {
 
     /// The voxel's place relative to the segment's, if its centre is at most `half_length` from `center`.
     #[inline]
-    fn member(&self, cell: IVec3) -> Option<Member> {
-        let offset = cell.as_vec3() + 0.5 - self.center.fraction;
+    fn member(&self, cell: Vec3A) -> Option<Member> {
+        let offset = cell + 0.5 - Vec3A::from(self.center.fraction);
         let distance2 = offset.length_squared();
+        let along = offset.dot(self.axis.into());
         let near = distance2 <= self.half_length * self.half_length;
-        near.then(|| Member {
-            voxel: self.center.voxel + cell,
+        let voxel = self.center.voxel + IVec3::from(cell.to_array().map(round));
+        near.then_some(Member {
+            voxel,
             distance2,
-            along: offset.dot(self.axis),
+            along,
         })
     }
 
     /// When the line crosses the border below cell `border` of one axis.
     #[inline]
-    fn crossing(inverse: f32, border: i32, center: f32) -> f32 {
-        (border as f32 - center) * inverse
+    fn crossing(inverse: f32, border: f32, center: f32) -> f32 {
+        (border - center) * inverse
     }
 
     /// Visits every pierced voxel once, in order along the line.
     #[inline]
     pub(crate) fn for_each(&self, mut visit: impl FnMut(Member)) {
         let reach = self.reach();
-        let center = self.center.fraction.to_array();
-        let axis = self.axis.to_array();
-        let mut cell = [0_i32; 3];
-        let mut step = [0_i32; 3];
-        let mut ahead = [0_i32; 3]; // from a cell to the border that the line crosses next
-        let mut inverse = [0.0_f32; 3];
-        let mut next = [f32::INFINITY; 3];
+        let mut cell = [0.0_f32; 3];
+        let mut step = [0.0_f32; 3];
+        let mut border = [0.0_f32; 3]; // that the line crosses next
+        let mut inverse = [f32::INFINITY; 3];
         for k in 0..3 {
-            if axis[k].abs() < STILL {
-                cell[k] = i32::from(center[k] >= 1.0);
+            let (axis, center) = (self.axis[k], self.center.fraction[k]);
+            if axis.abs() < STILL {
+                cell[k] = if center >= 1.0 { 1.0 } else { 0.0 };
+                border[k] = center + 1.0; // crossed never: 1·∞
                 continue;
             }
-            inverse[k] = 1.0 / axis[k];
-            (step[k], ahead[k]) = if axis[k] > 0.0 { (1, 1) } else { (-1, 0) };
-            cell[k] = round(center[k] - axis[k] * reach - 0.5);
-            // This may be a neighbour: the crossing times decide.
-            while Self::crossing(inverse[k], cell[k] + ahead[k], center[k]) <= -reach {
-                cell[k] += step[k];
+            inverse[k] = 1.0 / axis;
+            let ahead = if axis > 0.0 { 1.0 } else { 0.0 };
+            step[k] = 2.0 * ahead - 1.0;
+            border[k] = round(center - axis * reach - 0.5) as f32 + ahead;
+            // This may be a neighbour's: the crossing times decide.
+            while Self::crossing(inverse[k], border[k], center) <= -reach {
+                border[k] += step[k];
             }
-            while Self::crossing(inverse[k], cell[k] + ahead[k] - step[k], center[k]) > -reach {
-                cell[k] -= step[k];
+            while Self::crossing(inverse[k], border[k] - step[k], center) > -reach {
+                border[k] -= step[k];
             }
-            next[k] = Self::crossing(inverse[k], cell[k] + ahead[k], center[k]);
+            cell[k] = border[k] - ahead;
         }
-        let mut now = -reach;
+        let center = Vec3A::from(self.center.fraction);
+        let (mut cell, mut border) = (Vec3A::from(cell), Vec3A::from(border));
+        let (step, inverse) = (Vec3A::from(step), Vec3A::from(inverse));
         loop {
-            let k = if next[0] <= next[1] && next[0] <= next[2] {
-                0
-            } else if next[1] <= next[2] {
-                1
-            } else {
-                2
-            };
-            if next[k] > now
-                && let Some(member) = self.member(cell.into())
-            {
+            let next = (border - center) * inverse; // as `crossing`, for all axes
+            if let Some(member) = self.member(cell) {
                 visit(member);
             }
-            now = next[k];
+            let now = next.min_element();
             if !(now < reach) {
                 return;
             }
-            cell[k] += step[k];
-            next[k] = Self::crossing(inverse[k], cell[k] + ahead[k], center[k]);
+            // Through an edge or a corner the line crosses several borders at once.
+            let crossed = Vec3A::select(next.cmple(Vec3A::splat(now)), step, Vec3A::ZERO);
+            cell += crossed;
+            border += crossed;
         }
     }
 }
@@ -121,13 +119,13 @@ mod tests {
                         leave = f32::NEG_INFINITY;
                     }
                 } else {
-                    let times = [0, 1].map(|b| Segment::crossing(1.0 / a, cell[k] + b, c));
+                    let times = [0, 1].map(|b| Segment::crossing(1.0 / a, (cell[k] + b) as f32, c));
                     enter = enter.max(times[0].min(times[1]));
                     leave = leave.min(times[0].max(times[1]));
                 }
             }
             if leave > enter && enter < reach {
-                all.extend(s.member(cell));
+                all.extend(s.member(cell.as_vec3a()));
             }
         }
         all

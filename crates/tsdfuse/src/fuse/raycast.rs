@@ -71,6 +71,8 @@ impl Integrator for Raycast {
         let prepare_secs = start.elapsed().as_secs_f64();
 
         let truncation = map.config().truncation_vox();
+        let inverse = 1.0 / truncation;
+        let behind = Behind::new(truncation);
         let placed = &self.placed;
         let integration = match self.config.distance {
             Distance::Euclidean => self.scatter.run(map, placed.len(), |i, lane| {
@@ -85,7 +87,7 @@ impl Integrator for Raycast {
                 lane.approach(about.lowest_voxel());
                 about.for_each(|v| {
                     if v.distance2 <= truncation * truncation {
-                        let f = -v.along.signum() * v.distance2.sqrt() / truncation; // (5.7)
+                        let f = -v.along.signum() * v.distance2.sqrt() * inverse; // (5.7)
                         lane.update(v.voxel, f, weight);
                     }
                 });
@@ -102,12 +104,8 @@ impl Integrator for Raycast {
                 lane.approach(on.lowest_voxel());
                 on.for_each(|v| {
                     let off_axis2 = v.distance2 - v.along * v.along;
-                    let beside = 1.0 - off_axis2 / (VOXEL_RADIUS * VOXEL_RADIUS);
-                    lane.update(
-                        v.voxel,
-                        -v.along / truncation,
-                        weight * beside * behind(v.along, truncation),
-                    );
+                    let beside = 1.0 - off_axis2 * (1.0 / (VOXEL_RADIUS * VOXEL_RADIUS));
+                    lane.update(v.voxel, -v.along * inverse, weight * beside * behind.factor(v.along));
                 });
                 Ok(())
             }),
@@ -119,14 +117,26 @@ impl Integrator for Raycast {
     }
 }
 
-/// How deep behind the surface voxels still count fully, in voxels: enough for the noise of ranges to cancel.
-const FULL_DEPTH: f32 = 1.5;
+/// How much is known about voxels behind the surface.
+#[derive(Clone, Copy)]
+struct Behind {
+    truncation: f32,
+    slope: f32,
+}
 
-/// How much is known `depth` voxels behind the surface, where the band ends at `truncation` voxels.
-#[inline]
-fn behind(depth: f32, truncation: f32) -> f32 {
-    if depth <= FULL_DEPTH {
-        return 1.0;
+impl Behind {
+    /// For a band of `truncation` voxels: fully known down to 1.5 voxels, enough for the noise of ranges to cancel, or half the
+    /// band if that is less.
+    fn new(truncation: f32) -> Self {
+        Self {
+            truncation,
+            slope: 1.0 / (truncation - (0.5 * truncation).min(1.5)),
+        }
     }
-    ((truncation - depth) / (truncation - FULL_DEPTH)).powi(2)
+
+    /// The factor at `depth` voxels behind the surface (in front: negative), 1 … 0.
+    #[inline]
+    fn factor(self, depth: f32) -> f32 {
+        ((self.truncation - depth) * self.slope).clamp(0.0, 1.0).powi(2)
+    }
 }
