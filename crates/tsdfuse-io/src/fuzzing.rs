@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::pickle::DataFrame;
-use crate::{bin, calib, folder, kitti_raw, pcd, ply, poses, times};
+use crate::{bin, calib, folder, kitti_raw, map_file, pcd, ply, poses, times};
 
 const PATH: &str = "input";
 
@@ -14,6 +14,11 @@ pub fn pickle(bytes: &[u8]) {
             let _ = frame.column(name);
         }
     }
+}
+
+/// A saved map.
+pub fn map(bytes: &[u8]) {
+    let _ = map_file::parse(Path::new(PATH), bytes);
 }
 
 /// A PCD cloud.

@@ -122,8 +122,16 @@ impl Args {
         if let Some(mesh) = &self.output {
             output::check_mesh(mesh, self.json)?;
         }
-        let files = self.save_map.iter().chain(&self.report);
-        files.map(PathBuf::as_path).try_for_each(output::check_file)
+        let files: Vec<_> = self.save_map.iter().chain(&self.report).collect();
+        let results: Vec<_> = self.output.iter().chain(files.iter().copied()).collect();
+        if let Some(twice) = results
+            .iter()
+            .enumerate()
+            .find_map(|(i, file)| results[..i].contains(file).then_some(file))
+        {
+            return Err(Usage::new(format_args!("{}: two results cannot be one file", twice.display())).into());
+        }
+        files.into_iter().try_for_each(|file| output::check_file(file))
     }
 
     pub(super) fn set_threads(&self) -> Result<()> {

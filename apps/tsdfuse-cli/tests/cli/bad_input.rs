@@ -101,6 +101,17 @@ fn results_that_cannot_be_written_are_refused_before_the_work() {
 }
 
 #[test]
+fn two_results_cannot_be_one_file() {
+    let folder = Folder::new();
+    let set = folder.simulate("box", "box", "vlp16", 2, &[]);
+    let result = folder.text("result.ply");
+    for other in ["--save-map", "--report"] {
+        let line = tsdfuse(&["fuse", &set, "-o", &result, other, &result]).failed(2);
+        assert!(line.contains("result.ply: two results"), "{line}");
+    }
+}
+
+#[test]
 fn wrong_arguments_and_settings_are_named_with_what_is_possible() {
     let folder = Folder::new();
     let set = folder.simulate("box", "box", "vlp16", 2, &[]);
