@@ -49,16 +49,16 @@ impl Normals {
             scan: scan.name.clone(),
             reason,
         };
-        let sensor = match self.sensor.take() {
-            Some(sensor) => sensor,
-            None => guess(&scan.points, scan.rings.as_deref()).ok_or_else(|| {
-                unorganized(
-                    "no laser beams show in the scan, which this method needs: name the sensor, or use raycast".into(),
-                )
-            })?,
-        };
+        if self.sensor.is_none() {
+            self.sensor = guess(&scan.points, scan.rings.as_deref());
+        }
+        let sensor = self.sensor.as_ref().ok_or_else(|| {
+            unorganized(
+                "no laser beams show in the scan, which this method needs: name the sensor, or use raycast".into(),
+            )
+        })?;
         sensor.check().map_err(|e| unorganized(e.to_string()))?;
-        Ok(self.sensor.insert(sensor))
+        Ok(sensor)
     }
 }
 

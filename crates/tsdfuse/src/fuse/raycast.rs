@@ -77,7 +77,7 @@ impl Integrator for Raycast {
         let integration = match self.config.distance {
             Distance::Euclidean => self.scatter.run(map, placed.len(), |i, lane| {
                 let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
-                let weight = (1.0 / ray.range_m).min(1.0); // (5.8)
+                let weight = weight(ray.range_m);
                 let about = Cylinder {
                     center: ray.end,
                     axis: ray.direction,
@@ -95,7 +95,7 @@ impl Integrator for Raycast {
             }),
             Distance::Projective => self.scatter.run(map, placed.len(), |i, lane| {
                 let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
-                let weight = (1.0 / ray.range_m).min(1.0); // (5.8)
+                let weight = weight(ray.range_m);
                 let on = Segment {
                     center: ray.end,
                     axis: ray.direction,
@@ -115,6 +115,12 @@ impl Integrator for Raycast {
             ..integration
         })
     }
+}
+
+/// The weight of a return (5.8).
+#[inline]
+fn weight(range_m: f32) -> f32 {
+    (1.0 / range_m).min(1.0)
 }
 
 /// How much is known about voxels behind the surface.

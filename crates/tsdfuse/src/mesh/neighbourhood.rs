@@ -82,18 +82,13 @@ impl Neighbourhood {
     pub(super) fn vertices_in_row(&self, y: i32, z: i32) -> [u16; 3] {
         let cells = |y, z| self.cells[row_of(y, z)];
         let (here, below, behind, both) = (cells(y, z), cells(y - 1, z), cells(y, z - 1), cells(y - 1, z - 1));
-        // A cell's bit shifted up by one stands for the cell at x − 1.
-        let crossed = |rows: &[u16], row: usize| (rows[row_of(y, z)], rows[row]);
-        let along_row = |row: usize| {
-            let (n, n2) = crossed(&self.negative, row);
-            let (v, v2) = crossed(&self.valid, row);
-            (n ^ n2) & v & v2
-        };
         let (n, v) = (self.negative[row_of(y, z)], self.valid[row_of(y, z)]);
+        let towards = |row: usize| (n ^ self.negative[row]) & v & self.valid[row];
         let along_x = (n ^ n >> 1) & v & v >> 1 & (here | below | behind | both);
+        // A cell's bit shifted up by one stands for the cell at x − 1.
         let (about_y, about_z) = (here | behind, here | below);
-        let along_y = along_row(row_of(y + 1, z)) & (about_y | about_y << 1);
-        let along_z = along_row(row_of(y, z + 1)) & (about_z | about_z << 1);
+        let along_y = towards(row_of(y + 1, z)) & (about_y | about_y << 1);
+        let along_z = towards(row_of(y, z + 1)) & (about_z | about_z << 1);
         [along_x, along_y, along_z].map(|bits| (bits & OWN) >> 1)
     }
 
