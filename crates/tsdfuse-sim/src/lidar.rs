@@ -184,6 +184,7 @@ impl Simulator {
             pose,
             motion,
             dropped,
+            ..Default::default()
         }
     }
 

@@ -126,6 +126,13 @@ pub struct Anchor {
 }
 
 impl Anchor {
+    /// The centre of a voxel relative to the anchor (world axes, metres).
+    #[inline]
+    pub fn offset_of(&self, voxel: IVec3) -> Vec3 {
+        let offset = (voxel.as_i64vec3() - self.base.as_i64vec3()).as_dvec3() + 0.5 - self.fraction;
+        (offset / self.voxels_per_m).as_vec3()
+    }
+
     /// Locates a point given relative to the anchor (world axes, metres); `None` where the grid ends or for NaN.
     #[inline]
     pub fn locate(&self, from_anchor_m: Vec3) -> Option<GridPoint> {
@@ -148,6 +155,16 @@ fn floor(v: DVec3) -> IVec3 {
     let towards_zero = v.as_ivec3();
     let above = towards_zero.as_dvec3().cmpgt(v);
     towards_zero - IVec3::new(above.x.into(), above.y.into(), above.z.into())
+}
+
+/// Adding this makes an f32 below 2²² in magnitude round to the nearest integer, which then sits in its low bits: cheaper than
+/// a call to a rounding function, and the same on every CPU.
+const ROUND: f32 = 12_582_912.0;
+
+/// The nearest integer, |x| < 2²².
+#[inline]
+pub(crate) fn round(x: f32) -> i32 {
+    (x + ROUND).to_bits() as i32 - ROUND.to_bits() as i32
 }
 
 #[cfg(test)]

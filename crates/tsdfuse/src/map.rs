@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use rustc_hash::FxBuildHasher;
 use serde::{Deserialize, Serialize};
 
-use crate::index::{BLOCK_VOXELS, BlockIndex, Grid, local_number};
+use crate::index::{BLOCK_VOXELS, BlockIndex, Grid, local_number, round};
 
 /// Fixed-point scale of weights and of weighted distances: an update of weight 1 adds 32 768. A weight of 0.01 (a return at
 /// 100 m) still adds 328, and moves S_f in steps of 1/328 of the truncation.
@@ -167,6 +167,24 @@ impl Voxel {
         }
     }
 
+    /// Adds the sums of many updates at once; what is too much for the voxel is averaged as by [`Voxel::limit`].
+    pub(crate) fn add_sums(&mut self, weights: i64, distances: i64, limit: u32) {
+        let weight = i64::from(self.weight_sum) + weights;
+        let distance = i64::from(self.distance_sum) + distances;
+        let limit = i64::from(limit);
+        *self = match weight > limit {
+            // |distance| ≤ weight < 2⁴⁰ and limit ≤ 2³⁰: the product fits.
+            true => Self {
+                weight_sum: limit as u32,
+                distance_sum: (i128::from(distance) * i128::from(limit) / i128::from(weight)) as i32,
+            },
+            false => Self {
+                weight_sum: weight as u32,
+                distance_sum: distance as i32,
+            },
+        };
+    }
+
     /// Whether observations can sum up to this.
     fn is_possible(self) -> bool {
         self.weight_sum <= MAX_WEIGHT_SUM && self.distance_sum.unsigned_abs() <= self.weight_sum
@@ -229,6 +247,17 @@ impl Shard {
         std::mem::replace(&mut self.stamps[slot as usize], stamp) != stamp
     }
 
+    /// The slot of a block that is there.
+    #[inline]
+    pub(crate) fn slot(&self, index: BlockIndex) -> Option<u32> {
+        self.slots.get(&index).copied()
+    }
+
+    /// The indices of all blocks, by slot.
+    pub(crate) fn indices(&self) -> &[BlockIndex] {
+        &self.indices
+    }
+
     /// All blocks, by slot.
     #[inline]
     pub(crate) fn blocks_mut(&mut self) -> &mut [Block] {
@@ -256,7 +285,7 @@ impl Shard {
 pub struct VoxelMap {
     config: MapConfig,
     pub(crate) shards: Vec<Shard>,
-    pub(crate) integrations: u32,
+    integrations: u32,
 }
 
 impl VoxelMap {
@@ -293,6 +322,12 @@ impl VoxelMap {
         let slot = shard.slot_or_insert(index);
         shard.blocks[slot as usize] = block;
         Ok(())
+    }
+
+    /// Numbers the integration that begins, and tells it the limit of weights in fixed point.
+    pub(crate) fn begin_integration(&mut self) -> (u32, u32) {
+        self.integrations = self.integrations.wrapping_add(1).max(1);
+        (self.integrations, weight_limit(self.config.max_weight))
     }
 
     /// What the map was made with.
@@ -363,8 +398,15 @@ pub(crate) fn shard_of(BlockIndex(b): BlockIndex) -> usize {
     h as usize % SHARDS
 }
 
+/// The fixed-point form of an update: weight (clamped to 0..=1; 0 is no update) and weighted distance (clamped to ±1).
+#[inline(always)]
+pub(crate) fn fixed(distance: f32, weight: f32) -> (i32, i32) {
+    let weight = round(weight.clamp(0.0, 1.0) * WEIGHT_SCALE as f32);
+    (weight, round(distance.clamp(-1.0, 1.0) * weight as f32))
+}
+
 /// The fixed-point form of a weight limit.
-pub(crate) fn weight_limit(max_weight: f32) -> u32 {
+fn weight_limit(max_weight: f32) -> u32 {
     ((f64::from(max_weight) * f64::from(WEIGHT_SCALE)).round() as u32).max(1)
 }
 

@@ -4,6 +4,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::pose::{Interpolation, Pose};
+use crate::sensor::Pinhole;
 
 /// One sweep (or one frame) of a range sensor.
 ///
@@ -30,6 +31,8 @@ pub struct Scan {
     pub pose: Pose,
     /// How the sensor moves during the scan.
     pub motion: Option<Motion>,
+    /// The camera, where the scan is a depth image: each point lies on the ray through the centre of its pixel.
+    pub camera: Option<Pinhole>,
     /// What the reader and [`Scan::drop_invalid`] left out so far.
     pub dropped: Dropped,
 }
@@ -56,12 +59,14 @@ pub struct Dropped {
     pub too_far: u64,
     /// Measured by another sensor of the same log than the one asked for.
     pub other_sensor: u64,
+    /// Left out by a mask.
+    pub masked: u64,
 }
 
 impl Dropped {
     /// All of them.
     pub fn total(&self) -> u64 {
-        self.not_finite + self.no_return + self.too_near + self.too_far + self.other_sensor
+        self.not_finite + self.no_return + self.too_near + self.too_far + self.other_sensor + self.masked
     }
 }
 
@@ -72,6 +77,7 @@ impl std::ops::AddAssign for Dropped {
         self.too_near += other.too_near;
         self.too_far += other.too_far;
         self.other_sensor += other.other_sensor;
+        self.masked += other.masked;
     }
 }
 
@@ -270,7 +276,7 @@ mod tests {
                 no_return: 1,
                 too_near: 1,
                 too_far: 1,
-                other_sensor: 0
+                ..Default::default()
             }
         );
         assert_eq!(scan.points.len(), 2);

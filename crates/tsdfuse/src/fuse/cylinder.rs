@@ -6,7 +6,7 @@
 
 use glam::{IVec3, Vec3};
 
-use crate::index::GridPoint;
+use crate::index::{GridPoint, round};
 
 /// √3/2: the largest distance of a point in a voxel to its centre, in voxels (5.6).
 pub(crate) const VOXEL_RADIUS: f32 = 0.866_025_4;
@@ -121,16 +121,6 @@ impl Cylinder {
             }
         }
     }
-}
-
-/// Adding this makes an f32 below 2²² in magnitude round to the nearest integer, which then sits in its low bits: cheaper than
-/// a call to a rounding function, and the same on every CPU.
-const ROUND: f32 = 12_582_912.0;
-
-/// The nearest integer, |x| < 2²².
-#[inline]
-pub(crate) fn round(x: f32) -> i32 {
-    (x + ROUND).to_bits() as i32 - ROUND.to_bits() as i32
 }
 
 /// The least integer that is not more than half a slack below x.

@@ -4,7 +4,9 @@
 //! else is shared: `placed` puts returns into the world (undoing motion), `cylinder` and `pierced` walk the voxels
 //! about or on a line, and `scatter` finds blocks, combines updates and spreads the work over threads.
 
+mod beams;
 mod cylinder;
+mod gather;
 mod normals;
 mod pierced;
 mod placed;
@@ -96,6 +98,11 @@ pub trait Integrator: Send {
     /// # Errors
     /// [`FuseError`]; the map is unchanged then.
     fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError>;
+
+    /// Ends a series of scans: a method that collects them before it fuses does so now.
+    fn finish(&mut self, _map: &mut VoxelMap) -> Integration {
+        Integration::default()
+    }
 }
 
 /// What one integration did.

@@ -11,6 +11,7 @@ use std::{f32::consts::PI, time::Instant};
 
 use super::{
     FuseError, Integration, Integrator,
+    beams::Beams,
     cylinder::{Cylinder, VOXEL_RADIUS},
     placed::Placed,
     scatter::{Scatter, Skip},
@@ -19,14 +20,14 @@ use crate::{
     map::VoxelMap,
     normals::{Normal, NormalsConfig, estimate},
     scan::Scan,
-    sensor::{ScanImage, SensorModel, approx::acos_f32, guess, rings_of},
+    sensor::{ScanImage, SensorModel, approx::acos_f32, rings_of},
 };
 
 /// The integrator along local surface normals.
 #[derive(Debug, Default)]
 pub struct Normals {
     config: NormalsConfig,
-    sensor: Option<SensorModel>,
+    beams: Beams,
     placed: Placed,
     image: ScanImage,
     normals: Vec<Normal>,
@@ -38,27 +39,9 @@ impl Normals {
     pub fn new(config: NormalsConfig, sensor: Option<SensorModel>) -> Self {
         Self {
             config,
-            sensor,
+            beams: Beams::new(sensor),
             ..Self::default()
         }
-    }
-
-    /// The sensor's model, guessed from the scan if it was not given.
-    fn sensor(&mut self, scan: &Scan) -> Result<&SensorModel, FuseError> {
-        let unorganized = |reason: String| FuseError::Unorganized {
-            scan: scan.name.clone(),
-            reason,
-        };
-        if self.sensor.is_none() {
-            self.sensor = guess(&scan.points, scan.rings.as_deref());
-        }
-        let sensor = self.sensor.as_ref().ok_or_else(|| {
-            unorganized(
-                "no laser beams show in the scan, which this method needs: name the sensor, or use raycast".into(),
-            )
-        })?;
-        sensor.check().map_err(|e| unorganized(e.to_string()))?;
-        Ok(sensor)
     }
 }
 
@@ -69,8 +52,8 @@ impl Integrator for Normals {
         if scan.points.is_empty() {
             return Ok(Integration::default());
         }
-        let sensor = self.sensor(scan)?.clone();
-        self.image.update(&scan.points, &rings_of(scan, &sensor), &sensor);
+        let sensor = self.beams.of(scan)?;
+        self.image.update(&scan.points, &rings_of(scan, sensor), sensor);
         let origins = Some(self.placed.origins.as_slice()).filter(|o| !o.is_empty());
         estimate(
             &self.image,

@@ -5,8 +5,8 @@
 
 use glam::{IVec3, Vec3, Vec3A};
 
-use super::cylinder::{Member, round};
-use crate::index::GridPoint;
+use super::cylinder::Member;
+use crate::index::{GridPoint, round};
 
 /// A line through `center` along the unit vector `axis`, of which the part within `half_length` voxels of `center` counts.
 #[derive(Clone, Copy, Debug)]

@@ -20,10 +20,10 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 use rustc_hash::FxBuildHasher;
 
-use super::{Integration, Skipped, cylinder::round};
+use super::{Integration, Skipped};
 use crate::{
     index::{BlockIndex, local_number},
-    map::{SHARDS, Shard, VoxelMap, WEIGHT_SCALE, shard_of, weight_limit},
+    map::{SHARDS, Shard, VoxelMap, WEIGHT_SCALE, fixed, shard_of},
 };
 
 /// Pieces of a scan: enough to balance the load of many threads.
@@ -53,17 +53,12 @@ impl Scatter {
         items: usize,
         method: impl Fn(usize, &mut Lane) -> Result<(), Skip> + Sync,
     ) -> Integration {
-        map.integrations = map.integrations.wrapping_add(1).max(1);
-        let (stamp, limit) = (map.integrations, weight_limit(map.config().max_weight));
+        let (stamp, limit) = map.begin_integration();
         self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
             lane.clear();
             for i in items * k / LANES..items * (k + 1) / LANES {
-                match method(i, lane) {
-                    Ok(()) => lane.fused += 1,
-                    Err(Skip::OutsideGrid) => lane.skipped.outside_grid += 1,
-                    Err(Skip::WithoutNormal) => lane.skipped.without_normal += 1,
-                    Err(Skip::WithoutWeight) => lane.skipped.without_weight += 1,
-                }
+                let done = method(i, lane);
+                lane.counts.count(done);
             }
         });
         let lanes = &self.lanes;
@@ -77,10 +72,7 @@ impl Scatter {
             updated_blocks: touched.concat(),
             ..Default::default()
         };
-        for lane in &self.lanes {
-            done.skipped += lane.skipped;
-            done.fused_returns += lane.fused;
-        }
+        self.lanes.iter().for_each(|lane| lane.counts.add_to(&mut done));
         done
     }
 }
@@ -91,6 +83,29 @@ pub(crate) enum Skip {
     OutsideGrid,
     WithoutNormal,
     WithoutWeight,
+}
+
+/// What became of the items of one lane.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Counts {
+    fused: u64,
+    skipped: Skipped,
+}
+
+impl Counts {
+    pub(super) fn count(&mut self, done: Result<(), Skip>) {
+        match done {
+            Ok(()) => self.fused += 1,
+            Err(Skip::OutsideGrid) => self.skipped.outside_grid += 1,
+            Err(Skip::WithoutNormal) => self.skipped.without_normal += 1,
+            Err(Skip::WithoutWeight) => self.skipped.without_weight += 1,
+        }
+    }
+
+    pub(super) fn add_to(&self, done: &mut Integration) {
+        done.skipped += self.skipped;
+        done.fused_returns += self.fused;
+    }
 }
 
 /// Pass 2: adds the updates that all lanes hold for one shard.
@@ -195,8 +210,7 @@ pub(crate) struct Lane {
     buckets: Vec<Bucket>,
     near_corner: IVec3,
     near: [Address; (NEAR * NEAR * NEAR) as usize],
-    fused: u64,
-    skipped: Skipped,
+    counts: Counts,
 }
 
 impl Default for Lane {
@@ -206,8 +220,7 @@ impl Default for Lane {
             buckets: (0..SHARDS).map(|_| Bucket::default()).collect(),
             near_corner: IVec3::ZERO,
             near: [Address::NONE; (NEAR * NEAR * NEAR) as usize],
-            fused: 0,
-            skipped: Skipped::default(),
+            counts: Counts::default(),
         }
     }
 }
@@ -220,7 +233,7 @@ impl Lane {
             bucket.updates.clear();
         }
         self.near.fill(Address::NONE);
-        (self.fused, self.skipped) = (0, Skipped::default());
+        self.counts = Counts::default();
     }
 
     /// Prepares for updates at and above `lowest_voxel`: keeps the addresses of the blocks from there on at hand.
@@ -236,10 +249,9 @@ impl Lane {
     /// Writes one update: distance over μ (clamped to ±1) and weight (clamped to 0..=1; too little is no update).
     #[inline(always)]
     pub(crate) fn update(&mut self, voxel: IVec3, distance: f32, weight: f32) {
-        let weight = round(weight.clamp(0.0, 1.0) * WEIGHT_SCALE as f32);
+        let (weight, distance) = fixed(distance, weight);
         if weight > 0 {
             let address = self.address(BlockIndex::of(voxel));
-            let distance = round(distance.clamp(-1.0, 1.0) * weight as f32);
             let update = Update::new(address.number(), local_number(voxel), weight as u32, distance);
             self.buckets[address.shard()].updates.push(update);
         }

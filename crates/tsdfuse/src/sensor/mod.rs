@@ -3,18 +3,22 @@
 use serde::{Deserialize, Serialize};
 
 pub mod approx;
+mod depth_image;
 mod guess;
 mod image;
 mod order;
+mod pinhole;
 mod projection;
 mod rings;
 mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
 
+pub use depth_image::DepthImage;
 pub use guess::guess;
 pub use image::{NONE, ScanImage};
 pub use order::{OrderedRings, rings_by_order};
+pub use pinhole::{Pinhole, PinholeError};
 pub use projection::{Pixel, Projection};
 pub use rings::{NO_RING, RingRecovery, RingSource, recover_rings, rings_of, sort_rings};
 pub use tables::{model, names};

@@ -1,0 +1,185 @@
+//! The engine under methods that look from the voxels: items (pixels, surfels) name blocks, blocks gather updates.
+//!
+//! ```text
+//!   items ─┬─ lane 0 ─▶ bucket per shard: [(block, tag), …]                   pass 1: threads own lanes
+//!          └─ lane …
+//!   shard 0 ◀─ its bucket of every lane, sorted: block ─▶ its tags ─▶ 512 voxels     pass 2: threads own shards
+//! ```
+//!
+//! The twin of [`super::scatter`] for methods in which many items touch one voxel or one item touches many: what a voxel gets is
+//! worked out where it lies, and a block is written once. The same bits on any number of threads: sums are integers, and the
+//! tags of a block come in order.
+
+use rayon::prelude::*;
+
+use super::{
+    Integration,
+    scatter::{Counts, Skip},
+};
+use crate::{
+    index::{BLOCK_VOXELS, BlockIndex},
+    map::{SHARDS, Shard, VoxelMap, fixed, shard_of},
+};
+
+/// Pieces of a scan: enough to balance the load of many threads.
+const LANES: usize = 32;
+
+/// Buffers of the engine, kept from scan to scan.
+#[derive(Debug)]
+pub(crate) struct Gather {
+    lanes: Vec<Near>,
+    /// Per shard: the blocks that items named, sorted.
+    named: Vec<Vec<Named>>,
+}
+
+impl Default for Gather {
+    fn default() -> Self {
+        Self {
+            lanes: (0..LANES).map(|_| Near::default()).collect(),
+            named: vec![Vec::new(); SHARDS],
+        }
+    }
+}
+
+/// A block, and the tag with which it was named.
+pub(crate) type Named = (BlockIndex, u32);
+
+/// Which blocks an item may touch: what pass 1 writes to.
+#[derive(Debug)]
+pub(crate) struct Near {
+    buckets: Vec<Vec<Named>>,
+    counts: Counts,
+}
+
+impl Default for Near {
+    fn default() -> Self {
+        Self {
+            buckets: vec![Vec::new(); SHARDS],
+            counts: Counts::default(),
+        }
+    }
+}
+
+impl Near {
+    /// Names a block, with what its update wants to know: the number of the item, or always 0. Twice the same counts once.
+    #[inline]
+    pub(crate) fn block(&mut self, block: BlockIndex, tag: u32) {
+        let bucket = &mut self.buckets[shard_of(block)];
+        if bucket.last() != Some(&(block, tag)) {
+            bucket.push((block, tag));
+        }
+    }
+}
+
+/// The updates of one block in one scan.
+#[derive(Debug)]
+pub(crate) struct Updates {
+    weights: [i64; BLOCK_VOXELS],
+    distances: [i64; BLOCK_VOXELS],
+}
+
+impl Updates {
+    /// Adds an update to the voxel with number `local`: distance over μ (clamped to ±1) and weight (clamped to 0..=1; too
+    /// little is no update).
+    #[inline(always)]
+    pub(crate) fn add(&mut self, local: usize, distance: f32, weight: f32) {
+        let (weight, distance) = fixed(distance, weight);
+        if weight > 0 {
+            self.weights[local] += i64::from(weight);
+            self.distances[local] += i64::from(distance);
+        }
+    }
+
+    fn clear(&mut self) {
+        (self.weights, self.distances) = ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
+    }
+
+    fn is_empty(&self) -> bool {
+        self.weights.iter().all(|&w| w == 0)
+    }
+}
+
+impl Gather {
+    /// Lets each of `items` items name the blocks it may touch, then updates those blocks, and the blocks of the map that
+    /// are `visible` although no item named them.
+    ///
+    /// `update` is called once per block, with what named it, sorted by tag, on any thread. Blocks are made only if they
+    /// get an update.
+    pub(crate) fn run(
+        &mut self,
+        map: &mut VoxelMap,
+        items: usize,
+        near: impl Fn(usize, &mut Near) -> Result<(), Skip> + Sync,
+        visible: impl Fn(BlockIndex) -> bool + Sync,
+        update: impl Fn(BlockIndex, &[Named], &mut Updates) + Sync,
+    ) -> Integration {
+        let (stamp, limit) = map.begin_integration();
+        self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
+            lane.counts = Counts::default();
+            lane.buckets.iter_mut().for_each(Vec::clear);
+            for i in items * k / LANES..items * (k + 1) / LANES {
+                let done = near(i, lane);
+                lane.counts.count(done);
+            }
+        });
+        let lanes = &self.lanes;
+        let shards = map.shards.par_iter_mut().zip(&mut self.named).enumerate();
+        let touched: Vec<Vec<BlockIndex>> = shards
+            .map(|(s, (shard, named))| {
+                named.clear();
+                lanes.iter().for_each(|lane| named.extend(&lane.buckets[s]));
+                named.sort_unstable();
+                named.dedup();
+                update_shard(shard, named, &visible, &update, (stamp, limit))
+            })
+            .collect();
+        let mut done = Integration {
+            updated_blocks: touched.concat(),
+            ..Default::default()
+        };
+        self.lanes.iter().for_each(|lane| lane.counts.add_to(&mut done));
+        done
+    }
+}
+
+/// Pass 2 for one shard.
+fn update_shard(
+    shard: &mut Shard,
+    named: &[Named],
+    visible: impl Fn(BlockIndex) -> bool,
+    update: impl Fn(BlockIndex, &[Named], &mut Updates),
+    (stamp, limit): (u32, u32),
+) -> Vec<BlockIndex> {
+    let mut touched = Vec::new();
+    let mut updates = Updates {
+        weights: [0; BLOCK_VOXELS],
+        distances: [0; BLOCK_VOXELS],
+    };
+    let mut visit = |shard: &mut Shard, block: BlockIndex, items: &[Named]| {
+        updates.clear();
+        update(block, items, &mut updates);
+        if updates.is_empty() {
+            return;
+        }
+        let slot = shard.slot_or_insert(block);
+        if shard.touch(slot, stamp) {
+            touched.push(block);
+        }
+        let sums = updates.weights.iter().zip(&updates.distances);
+        for (voxel, (&weight, &distance)) in shard.blocks_mut()[slot as usize].voxels.iter_mut().zip(sums) {
+            if weight > 0 {
+                voxel.add_sums(weight, distance, limit);
+            }
+        }
+    };
+    let seen: Vec<BlockIndex> = shard.indices().iter().copied().filter(|&b| visible(b)).collect();
+    for items in named.chunk_by(|a, b| a.0 == b.0) {
+        visit(shard, items[0].0, items);
+    }
+    for block in seen {
+        if named.binary_search_by_key(&block, |n| n.0).is_err() {
+            visit(shard, block, &[]);
+        }
+    }
+    touched
+}
