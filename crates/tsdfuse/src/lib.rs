@@ -25,6 +25,7 @@
 //! The crate reads no files; `tsdfuse-io` does. The work is spread over the threads of the current rayon pool, and the
 //! result does not depend on their number, bit for bit.
 
+mod eigen;
 pub mod fuse;
 pub mod index;
 pub mod map;
