@@ -247,12 +247,6 @@ impl Shard {
         std::mem::replace(&mut self.stamps[slot as usize], stamp) != stamp
     }
 
-    /// The slot of a block that is there.
-    #[inline]
-    pub(crate) fn slot(&self, index: BlockIndex) -> Option<u32> {
-        self.slots.get(&index).copied()
-    }
-
     /// The indices of all blocks, by slot.
     pub(crate) fn indices(&self) -> &[BlockIndex] {
         &self.indices

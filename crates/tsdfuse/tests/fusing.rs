@@ -3,44 +3,17 @@
 
 #![allow(clippy::unwrap_used)] // test helpers
 
-use std::collections::BTreeMap;
+mod common;
 
+use common::{Voxels, assert_agrees, scan};
 use tsdfuse::{
     Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap,
     fuse::{Distance, RaycastConfig},
     glam::{DQuat, DVec3, IVec3, Vec3},
-    index::voxel_at,
     mesh,
 };
 
 const FORMS: [Distance; 2] = [Distance::Euclidean, Distance::Projective];
-
-/// A scan of a room of 6 × 5 × 3 m from somewhere inside it, tilted.
-fn scan(number: usize, rays: usize) -> Scan {
-    let n = number as f64;
-    let pose = Pose {
-        rotation: DQuat::from_euler(tsdfuse::glam::EulerRot::XYZ, 0.1 * n, -0.07 * n, 0.5 * n),
-        translation: DVec3::new(0.3 * n - 0.5, 0.2 * n - 0.4, 0.1 * n),
-    };
-    let half = DVec3::new(3.0, 2.5, 1.5);
-    let points = (0..rays).map(|i| {
-        // Fibonacci's sphere.
-        let z = 1.0 - 2.0 * (i as f64 + 0.5) / rays as f64;
-        let (sin, cos) = (i as f64 * 2.399_963_229_728_653).sin_cos();
-        let direction = DVec3::new(cos * (1.0 - z * z).sqrt(), sin * (1.0 - z * z).sqrt(), z);
-        let in_world = pose.rotation * direction;
-        let wall = in_world.signum() * half;
-        let range = ((wall - pose.translation) / in_world).min_element();
-        let noise = 0.02 * ((i * 7919 + number * 104_729) % 1000) as f64 / 1000.0;
-        (direction * (range + noise)).as_vec3()
-    });
-    Scan {
-        name: format!("scan {number}"),
-        points: points.collect(),
-        pose,
-        ..Default::default()
-    }
-}
 
 fn fuse(scans: &[Scan], distance: Distance) -> VoxelMap {
     let mut map = VoxelMap::new(MapConfig::default()).unwrap();
@@ -52,29 +25,14 @@ fn fuse(scans: &[Scan], distance: Distance) -> VoxelMap {
     map
 }
 
-fn observed(map: &VoxelMap) -> BTreeMap<[i32; 3], (f64, f64)> {
-    let mut all = BTreeMap::new();
-    for index in map.block_indices() {
-        for (local, voxel) in map.block(index).unwrap().voxels.iter().enumerate() {
-            if let Some(f) = voxel.distance() {
-                all.insert(
-                    voxel_at(index, local).to_array(),
-                    (f64::from(voxel.weight()), f64::from(f)),
-                );
-            }
-        }
-    }
-    all
-}
-
 /// The formulas of raycasting as they stand, for every voxel of a cube about each return, in f64.
-fn literal(scans: &[Scan], distance: Distance) -> BTreeMap<[i32; 3], (f64, f64)> {
+fn literal(scans: &[Scan], distance: Distance) -> Voxels {
     let MapConfig {
         voxel_size_m: k,
         truncation_m: mu,
         ..
     } = MapConfig::default();
-    let mut sums = BTreeMap::<[i32; 3], (f64, f64)>::new();
+    let mut sums = Voxels::new();
     for scan in scans {
         let o = scan.pose.translation;
         for &point in &scan.points {
@@ -114,42 +72,13 @@ fn literal(scans: &[Scan], distance: Distance) -> BTreeMap<[i32; 3], (f64, f64)>
     sums.into_iter().map(|(v, (w, s))| (v, (w, s / w))).collect()
 }
 
-/// The share of voxels that differ: present in one map only, or apart by more than the fixed point's rounding (half a unit of
-/// 1/32768 per update, in the weight and in the weighted distance). Looks from both sides.
-fn differing(a: &BTreeMap<[i32; 3], (f64, f64)>, b: &BTreeMap<[i32; 3], (f64, f64)>) -> f64 {
-    let apart = |v: &[i32; 3], (wa, fa): &(f64, f64)| {
-        b.get(v)
-            .is_none_or(|(wb, fb)| (wa - wb).abs() > 1e-3 * wb + 1e-4 || (fa - fb).abs() > 1e-3 + 1e-4 / wb)
-    };
-    let from_a = a.iter().filter(|(v, x)| apart(v, x)).count();
-    let only_in_b = b.keys().filter(|v| !a.contains_key(*v)).count();
-    (from_a + only_in_b) as f64 / a.len().max(b.len()) as f64
-}
-
 #[test]
 fn raycasting_is_what_its_formulas_say() {
     let scans = [scan(0, 3000), scan(1, 3000)];
     for form in FORMS {
-        let mut fast = observed(&fuse(&scans, form));
-        // Weights too small for the fixed point are no updates.
-        let mut slow = literal(&scans, form);
-        slow.retain(|_, (w, _)| *w > 1e-4);
-        fast.retain(|_, (w, _)| *w > 1e-4);
-        assert!(fast.len() > 20_000, "{} voxels", fast.len());
-        let share = differing(&fast, &slow);
-        assert!(share < 0.005, "{form:?}: {share} of {} voxels differ", fast.len());
-
-        // The comparison sees a lost voxel, an additional one, and a wrong distance.
-        let lost = |n: usize| {
-            let mut map = fast.clone();
-            let keys: Vec<_> = map.keys().copied().step_by(fast.len() / n).collect();
-            map.retain(|k, _| !keys.contains(k));
-            map
-        };
-        let wrong = fast.iter().map(|(v, (w, f))| (*v, (*w, f + 0.01))).collect();
-        assert!(differing(&lost(500), &slow) > 0.005);
-        assert!(differing(&slow, &lost(500)) > 0.005);
-        assert!(differing(&wrong, &slow) > 0.9);
+        let (fast, slow) = (fuse(&scans, form), literal(&scans, form));
+        assert!(fast.observed_voxel_count() > 20_000);
+        assert_agrees(&fast, &slow, 0.005, &format!("{form:?}"));
     }
 }
 

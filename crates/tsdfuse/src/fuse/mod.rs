@@ -5,7 +5,9 @@
 //! about or on a line, and `scatter` finds blocks, combines updates and spreads the work over threads.
 
 mod beams;
+mod centers;
 mod cylinder;
+mod depth;
 mod gather;
 mod normals;
 mod pierced;
@@ -15,6 +17,7 @@ mod scatter;
 
 use serde::{Deserialize, Serialize};
 
+pub use depth::Depth;
 pub use normals::Normals;
 pub use raycast::{Distance, Raycast, RaycastConfig};
 
@@ -31,6 +34,8 @@ pub enum Method {
     Raycast,
     /// [`Normals`].
     Normals,
+    /// [`Depth`].
+    Depth,
 }
 
 /// The options of all methods.
@@ -55,13 +60,14 @@ impl FuseConfig {
 
 impl Method {
     /// All methods.
-    pub const ALL: &[Self] = &[Self::Raycast, Self::Normals];
+    pub const ALL: &[Self] = &[Self::Raycast, Self::Normals, Self::Depth];
 
     /// The name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Raycast => "raycast",
             Self::Normals => "normals",
+            Self::Depth => "depth",
         }
     }
 
@@ -71,6 +77,7 @@ impl Method {
         match self {
             Self::Raycast => Box::new(Raycast::new(config.raycast)),
             Self::Normals => Box::new(Normals::new(config.normals, sensor.cloned())),
+            Self::Depth => Box::<Depth>::default(),
         }
     }
 }
@@ -127,6 +134,10 @@ pub struct Skipped {
     pub without_normal: u64,
     /// The method gave it no weight.
     pub without_weight: u64,
+    /// Outside the image that the method makes of the scan.
+    pub outside_image: u64,
+    /// Behind another return in the same pixel of that image.
+    pub hidden: u64,
 }
 
 impl std::ops::AddAssign for Skipped {
@@ -134,6 +145,8 @@ impl std::ops::AddAssign for Skipped {
         self.outside_grid += other.outside_grid;
         self.without_normal += other.without_normal;
         self.without_weight += other.without_weight;
+        self.outside_image += other.outside_image;
+        self.hidden += other.hidden;
     }
 }
 
@@ -152,6 +165,14 @@ pub enum FuseError {
         /// The scan's name.
         scan: String,
         /// What is missing, and what the user can do.
+        reason: String,
+    },
+    /// The method needs an image that the scan does not give.
+    #[error("{scan}: {reason}")]
+    Image {
+        /// The scan's name.
+        scan: String,
+        /// What is wrong.
         reason: String,
     },
     /// The sensor's position lies outside the grid or is not finite.

@@ -6,7 +6,7 @@
 use glam::{IVec3, Vec3, Vec3A};
 
 use super::cylinder::Member;
-use crate::index::{GridPoint, round};
+use crate::index::{BLOCK_EDGE, BlockIndex, GridPoint, round};
 
 /// A line through `center` along the unit vector `axis`, of which the part within `half_length` voxels of `center` counts.
 #[derive(Clone, Copy, Debug)]
@@ -54,7 +54,31 @@ impl Segment {
     /// Visits every pierced voxel once, in order along the line.
     #[inline]
     pub(crate) fn for_each(&self, mut visit: impl FnMut(Member)) {
-        let reach = self.reach();
+        self.walk(self.reach(), |cell| {
+            self.member(cell).map(&mut visit).unwrap_or_default()
+        });
+    }
+
+    /// Visits every block that the segment passes through.
+    pub(crate) fn for_each_block(&self, mut visit: impl FnMut(BlockIndex)) {
+        let block = BlockIndex::of(self.center.voxel);
+        let place = (self.center.voxel - block.first_voxel()).as_vec3() + self.center.fraction;
+        let in_blocks = Self {
+            center: GridPoint {
+                voxel: block.0,
+                fraction: place / BLOCK_EDGE as f32,
+            },
+            axis: self.axis,
+            half_length: self.half_length / BLOCK_EDGE as f32,
+        };
+        in_blocks.walk(in_blocks.half_length, |cell| {
+            visit(BlockIndex(block.0 + IVec3::from(cell.to_array().map(round))));
+        });
+    }
+
+    /// Visits every cell that the line pierces within `reach` of the centre, by its place relative to the centre's cell.
+    #[inline]
+    fn walk(&self, reach: f32, mut visit: impl FnMut(Vec3A)) {
         let mut cell = [0.0_f32; 3];
         let mut step = [0.0_f32; 3];
         let mut border = [0.0_f32; 3]; // that the line crosses next
@@ -84,9 +108,7 @@ impl Segment {
         let (step, inverse) = (Vec3A::from(step), Vec3A::from(inverse));
         loop {
             let next = (border - center) * inverse; // as `crossing`, for all axes
-            if let Some(member) = self.member(cell) {
-                visit(member);
-            }
+            visit(cell);
             let now = next.min_element();
             if !(now < reach) {
                 return;
@@ -165,6 +187,30 @@ mod tests {
             fast.sort_by_key(|m| m.voxel.to_array());
             slow.sort_by_key(|m| m.voxel.to_array());
             prop_assert_eq!(fast, slow);
+        }
+    }
+
+    /// Every block near the segment that a fine walk along it meets.
+    fn sampled_blocks(s: &Segment, steps: i32) -> std::collections::BTreeSet<BlockIndex> {
+        let at = |i: i32| s.center.fraction + s.axis * s.half_length * (i as f32 / steps as f32);
+        (-steps..=steps)
+            .map(|i| BlockIndex::of(s.center.voxel + at(i).floor().as_ivec3()))
+            .collect()
+    }
+
+    proptest! {
+        #[test]
+        fn the_blocks_of_a_segment_are_those_it_meets(s in any_segment()) {
+            let mut walked = std::collections::BTreeSet::new();
+            s.for_each_block(|block| assert!(walked.insert(block), "{block:?} twice"));
+            // On a border the walk may take either side; no sample falls on one here.
+            let s = Segment { center: GridPoint { fraction: s.center.fraction.clamp(Vec3::splat(0.01), Vec3::splat(0.99)), ..s.center }, ..s };
+            let mut inner = std::collections::BTreeSet::new();
+            s.for_each_block(|block| { inner.insert(block); });
+            let met = sampled_blocks(&s, 4000);
+            prop_assert!(met.is_subset(&inner), "{met:?} {inner:?}");
+            // A block that is cut by less than a step may be missed by the samples.
+            prop_assert!(inner.len() <= met.len() + 1, "{met:?} {inner:?}");
         }
     }
 

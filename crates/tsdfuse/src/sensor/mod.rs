@@ -18,7 +18,7 @@ pub use depth_image::DepthImage;
 pub use guess::guess;
 pub use image::{NONE, ScanImage};
 pub use order::{OrderedRings, rings_by_order};
-pub use pinhole::{Pinhole, PinholeError};
+pub use pinhole::{MAX_IMAGE_EDGE, Pinhole, PinholeError};
 pub use projection::{Pixel, Projection};
 pub use rings::{NO_RING, RingRecovery, RingSource, recover_rings, rings_of, sort_rings};
 pub use tables::{model, names};

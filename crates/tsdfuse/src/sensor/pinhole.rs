@@ -35,7 +35,7 @@ pub struct Pinhole {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum PinholeError {
     /// An image has pixels, and not more than fit into memory.
-    #[error("an image of {width} x {height} pixels; 1 x 1 to {MAX_EDGE} x {MAX_EDGE} are possible")]
+    #[error("an image of {width} x {height} pixels; 1 x 1 to {MAX_IMAGE_EDGE} x {MAX_IMAGE_EDGE} are possible")]
     Size {
         /// Pixels in a row.
         width: u32,
@@ -68,7 +68,7 @@ pub enum PinholeError {
 }
 
 /// More pixels than any depth camera has in a row; also bounds the memory of an image.
-pub const MAX_EDGE: u32 = 16_384;
+pub const MAX_IMAGE_EDGE: u32 = 16_384;
 
 /// How far the principal point may be from the middle of the image, as a share of its edge.
 const OFF_MIDDLE: f32 = 0.2;
@@ -100,7 +100,7 @@ impl Pinhole {
             cx,
             cy,
         } = *self;
-        if !((1..=MAX_EDGE).contains(&width) && (1..=MAX_EDGE).contains(&height)) {
+        if !((1..=MAX_IMAGE_EDGE).contains(&width) && (1..=MAX_IMAGE_EDGE).contains(&height)) {
             return Err(PinholeError::Size { width, height });
         }
         if !(fx > 0.0 && fy > 0.0 && fx.is_finite() && fy.is_finite()) {

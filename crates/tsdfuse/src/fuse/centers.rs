@@ -1,0 +1,72 @@
+//! The centres of a block's voxels, as a sensor sees them.
+
+use glam::{Mat3, Vec3};
+
+use crate::index::{Anchor, BLOCK_EDGE, BlockIndex};
+
+/// Half the diagonal of a block, in voxels.
+pub(crate) const BLOCK_RADIUS: f32 = 0.5 * 1.732_050_8 * BLOCK_EDGE as f32;
+
+/// Voxel centres relative to a scan's anchor, in axes of one's choice, metres.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Centers {
+    pub(crate) anchor: Anchor,
+    /// Turns world axes into those of the result.
+    pub(crate) rotation: Mat3,
+    pub(crate) voxel_size_m: f32,
+}
+
+impl Centers {
+    /// The centre of a block.
+    #[inline]
+    pub(crate) fn of_block(&self, block: BlockIndex) -> Vec3 {
+        let to_middle = 0.5 * (BLOCK_EDGE - 1) as f32 * self.voxel_size_m;
+        self.rotation * (self.anchor.offset_of(block.first_voxel()) + to_middle)
+    }
+
+    /// Calls `visit` with the number of each voxel of the block, in order, and its centre.
+    #[inline]
+    pub(crate) fn for_each(&self, block: BlockIndex, mut visit: impl FnMut(usize, Vec3)) {
+        let first = self.rotation * self.anchor.offset_of(block.first_voxel());
+        let step = self.rotation * self.voxel_size_m;
+        for z in 0..BLOCK_EDGE {
+            for y in 0..BLOCK_EDGE {
+                let row = first + step.z_axis * z as f32 + step.y_axis * y as f32;
+                for x in 0..BLOCK_EDGE {
+                    let local = x + BLOCK_EDGE * (y + BLOCK_EDGE * z);
+                    visit(local as usize, row + step.x_axis * x as f32);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::index::{Grid, voxel_at};
+    use glam::{DVec3, IVec3};
+
+    #[test]
+    fn centers_are_those_of_the_grid() {
+        let grid = Grid::new(0.05);
+        let origin = DVec3::new(500_000.125, 5_400_000.25, 311.5);
+        let centers = Centers {
+            anchor: grid.anchor(origin).unwrap(),
+            rotation: Mat3::from_rotation_z(0.3),
+            voxel_size_m: 0.05,
+        };
+        let block = BlockIndex(IVec3::new(1_250_010, 13_500_003, 770));
+        let middle = block.first_voxel().as_dvec3() + 4.0;
+        let off = centers.of_block(block) - centers.rotation * (middle * 0.05 - origin).as_vec3();
+        assert!(off.length() < 2e-5, "{off}");
+        let mut next = 0;
+        centers.for_each(block, |local, center| {
+            assert_eq!(local, next);
+            next += 1;
+            let exact = (grid.center(voxel_at(block, local)) - origin).as_vec3();
+            assert!((center - centers.rotation * exact).length() < 2e-5);
+        });
+        assert_eq!(next, 512);
+    }
+}
