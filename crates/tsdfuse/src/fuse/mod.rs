@@ -7,8 +7,10 @@
 mod beams;
 mod centers;
 mod cylinder;
+mod cylindrical;
 mod depth;
 mod gather;
+mod kuehner;
 mod normals;
 mod pierced;
 mod placed;
@@ -17,7 +19,9 @@ mod scatter;
 
 use serde::{Deserialize, Serialize};
 
+pub use cylindrical::Cylindrical;
 pub use depth::Depth;
+pub use kuehner::Kuehner;
 pub use normals::Normals;
 pub use raycast::{Distance, Raycast, RaycastConfig};
 
@@ -34,6 +38,10 @@ pub enum Method {
     Raycast,
     /// [`Normals`].
     Normals,
+    /// [`Cylindrical`].
+    Cylindrical,
+    /// [`Kuehner`].
+    Kuehner,
     /// [`Depth`].
     Depth,
 }
@@ -60,13 +68,21 @@ impl FuseConfig {
 
 impl Method {
     /// All methods.
-    pub const ALL: &[Self] = &[Self::Raycast, Self::Normals, Self::Depth];
+    pub const ALL: &[Self] = &[
+        Self::Raycast,
+        Self::Normals,
+        Self::Cylindrical,
+        Self::Kuehner,
+        Self::Depth,
+    ];
 
     /// The name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Raycast => "raycast",
             Self::Normals => "normals",
+            Self::Cylindrical => "cylindrical",
+            Self::Kuehner => "kuehner",
             Self::Depth => "depth",
         }
     }
@@ -77,6 +93,8 @@ impl Method {
         match self {
             Self::Raycast => Box::new(Raycast::new(config.raycast)),
             Self::Normals => Box::new(Normals::new(config.normals, sensor.cloned())),
+            Self::Cylindrical => Box::new(Cylindrical::new(sensor.cloned())),
+            Self::Kuehner => Box::new(Kuehner::new(sensor.cloned())),
             Self::Depth => Box::<Depth>::default(),
         }
     }

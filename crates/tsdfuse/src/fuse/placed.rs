@@ -60,6 +60,11 @@ impl Placed {
         Ok(())
     }
 
+    /// Where the scan is anchored, once returns are placed.
+    pub(crate) fn anchor(&self) -> Option<Anchor> {
+        self.anchor
+    }
+
     /// The number of returns.
     pub(crate) fn len(&self) -> usize {
         self.points.len()

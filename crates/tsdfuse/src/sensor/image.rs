@@ -29,7 +29,7 @@ const PART: usize = 8192;
 const SAME_FIRING: f32 = 0.25;
 
 /// Bins of a ring's azimuths within a column.
-const PHASE_BINS: usize = 32;
+pub(super) const PHASE_BINS: usize = 32;
 
 /// Returns of one scan by ring and column. Reuse it from scan to scan: it keeps its buffers.
 #[derive(Clone, Debug, Default)]
@@ -235,7 +235,7 @@ fn settle(place: f32, phase: f32) -> (usize, f32) {
 }
 
 /// Circular mean of a ring's azimuths within a column, in columns: in [−½, ½].
-fn mean_phase(bins: &[u32; PHASE_BINS]) -> f32 {
+pub(super) fn mean_phase(bins: &[u32; PHASE_BINS]) -> f32 {
     let (mut x, mut y) = (0.0, 0.0);
     for (bin, &count) in bins.iter().enumerate() {
         let (sin, cos) = sin_cos((bin as f64 + 0.5) / PHASE_BINS as f64 * std::f64::consts::TAU);

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 pub mod approx;
+mod cylindrical;
 mod depth_image;
 mod guess;
 mod image;
@@ -14,6 +15,7 @@ mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
 
+pub use cylindrical::{Cylindrical, CylindricalPoint};
 pub use depth_image::DepthImage;
 pub use guess::guess;
 pub use image::{NONE, ScanImage};

@@ -1,0 +1,269 @@
+//! Cylindrical projection as Kühner and Kümmerle have it (2020; thesis 4.2).
+//!
+//! A scan becomes a cylindrical depth image of square pixels about the **centre of projection**: the point of the sensor's axis
+//! from which the squared distances to all beams are least. Empty pixels take the depth of the nearest filled pixel above or
+//! below them in their column, as far as half the gap between two beams reaches, so that the image is dense.
+//!
+//! Which voxels: **all** whose centre lies in the frustum of a filled pixel and within μ of its depth, so that none is missed
+//! far away, where rays are more than a voxel apart. What distance: pixel's range − voxel's range, from the centre of
+//! projection, over μ. What weight: min(1, 1/range), falling with distance.
+//!
+//! Strong far away: the ground between two rings is closed. Weak at edges, where a pixel stands for half a beam's gap, and at
+//! grazing incidence, where such steps of constant range stand on the ground like stairs.
+
+use std::time::Instant;
+
+use glam::{Mat3, Vec3};
+
+use super::{
+    FuseError, Integration, Integrator, Skipped,
+    beams::Beams,
+    centers::Centers,
+    depth::world_axes,
+    gather::{Gather, Near, Updates},
+    placed::Placed,
+    scatter::Skip,
+};
+use crate::{
+    index::{Anchor, BlockIndex},
+    map::{MapConfig, VoxelMap},
+    scan::Scan,
+    sensor::{Cylindrical, SensorModel, approx::sin_cos, rings_of},
+};
+
+/// The integrator of dense cylindrical depth images.
+#[derive(Debug, Default)]
+pub struct Kuehner {
+    beams: Beams,
+    placed: Placed,
+    gather: Gather,
+}
+
+impl Kuehner {
+    /// Without a sensor's model, the first scan decides which one it is.
+    pub fn new(sensor: Option<SensorModel>) -> Self {
+        Self {
+            beams: Beams::new(sensor),
+            ..Self::default()
+        }
+    }
+}
+
+impl Integrator for Kuehner {
+    fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError> {
+        let start = Instant::now();
+        self.placed.place(map.grid(), scan)?;
+        let (Some(anchor), false) = (self.placed.anchor(), scan.points.is_empty()) else {
+            return Ok(Integration::default());
+        };
+        let sensor = self.beams.of(scan)?;
+        let rings = rings_of(scan, sensor);
+        let world_from_sensor = world_axes(scan);
+        let mut image = Image::new(scan, &rings, sensor);
+        image.render(&self.placed.points, world_from_sensor.transpose(), &rings);
+        image.fill();
+        let prepare_secs = start.elapsed().as_secs_f64();
+
+        let config = *map.config();
+        let centers = Centers {
+            anchor,
+            rotation: world_from_sensor.transpose(),
+            voxel_size_m: config.voxel_size_m as f32,
+        };
+        let image = &image;
+        let mut done = self.gather.run(
+            map,
+            image.projection.columns(),
+            |column, near| image.allocate(column, &anchor, world_from_sensor, &config, near),
+            |_| false,
+            |block, _, updates| image.update(block, &centers, config.truncation_m as f32, updates),
+        );
+        done.skipped = image.skipped;
+        done.fused_returns = scan.points.len() as u64 - image.skipped.hidden - image.skipped.outside_image;
+        done.prepare_secs = prepare_secs;
+        Ok(done)
+    }
+}
+
+/// The height on the sensor's axis (metres) that minimises the squared distances to the lines of all beams.
+///
+/// A beam of elevation e that measured a point at height z and distance ρ from the axis crosses the axis at z − ρ·tan e; its
+/// line passes the height c at a distance of |z − ρ·tan e − c|·cos e.
+fn center_of_projection(points: &[Vec3], rings: &[u16], sensor: &SensorModel) -> f32 {
+    let of_beam = |degrees: &f32| {
+        let (sin, cos) = sin_cos(f64::from(*degrees).to_radians());
+        (sin / cos, cos * cos)
+    };
+    let beams: Vec<(f64, f64)> = sensor.elevations_deg.iter().map(of_beam).collect();
+    let (mut heights, mut weights) = (0.0, 0.0);
+    for (point, &ring) in points.iter().zip(rings) {
+        let p = point.as_dvec3();
+        if let Some((tan, cos2)) = beams.get(usize::from(ring)).filter(|_| p.is_finite()) {
+            heights += cos2 * (p.z - p.x.hypot(p.y) * tan);
+            weights += cos2;
+        }
+    }
+    if weights > 0.0 { (heights / weights) as f32 } else { 0.0 }
+}
+
+/// A cylindrical depth image: ρ per pixel, 0 where there is none, column by column.
+#[derive(Debug)]
+struct Image {
+    projection: Cylindrical,
+    depths_m: Vec<f32>,
+    /// The beam that measured a pixel.
+    rings: Vec<u16>,
+    /// How many rows half the gap to the beam above and below each beam is.
+    reach: Vec<[f32; 2]>,
+    skipped: Skipped,
+}
+
+impl Image {
+    fn new(scan: &Scan, rings: &[u16], sensor: &SensorModel) -> Self {
+        let center_z_m = center_of_projection(&scan.points, rings, sensor);
+        let tangents: Vec<f32> = sensor.elevations_deg.iter().map(|e| e.to_radians().tan()).collect();
+        let pitch = std::f32::consts::TAU / sensor.columns as f32;
+        // The outermost beams have on their outer side the gap of their inner side.
+        let halves: Vec<f32> = tangents
+            .windows(2)
+            .map(|pair| 0.5 * (pair[1] - pair[0]) / pitch)
+            .collect();
+        let half = |k: usize| halves.get(k).or(halves.last()).copied().unwrap_or(0.0);
+        let reach: Vec<[f32; 2]> = (0..tangents.len())
+            .map(|ring| [half(ring), half(ring.saturating_sub(1))])
+            .collect();
+        let margin = reach
+            .first()
+            .map_or(0.0, |r| r[1])
+            .max(reach.last().map_or(0.0, |r| r[0]))
+            * pitch;
+        let phase = Cylindrical::phase_of(&scan.points, sensor.columns);
+        let projection = Cylindrical::new(sensor, center_z_m, phase, margin);
+        let pixels = projection.rows() * projection.columns();
+        Self {
+            projection,
+            depths_m: vec![0.0; pixels],
+            rings: vec![0; pixels],
+            reach,
+            skipped: Skipped::default(),
+        }
+    }
+
+    /// Projects placed returns; the nearest of a pixel stays.
+    fn render(&mut self, placed: &[Vec3], sensor_from_world: Mat3, rings: &[u16]) {
+        for (&point, &ring) in placed.iter().zip(rings) {
+            let seen = self.projection.project(sensor_from_world * point);
+            let pixel = self
+                .projection
+                .pixel(seen)
+                .filter(|_| usize::from(ring) < self.reach.len());
+            let Some((row, column)) = pixel else {
+                self.skipped.outside_image += 1;
+                continue;
+            };
+            let pixel = column * self.projection.rows() + row;
+            let depth = &mut self.depths_m[pixel];
+            self.skipped.hidden += u64::from(*depth > 0.0);
+            if *depth == 0.0 || seen.depth_m < *depth {
+                (*depth, self.rings[pixel]) = (seen.depth_m, ring);
+            }
+        }
+    }
+
+    /// Gives empty pixels the depth of the nearest measured one of their column, the upper one of two, within half the gap
+    /// of the beams.
+    fn fill(&mut self) {
+        let rows = self.projection.rows();
+        let mut nearest = vec![(f32::INFINITY, 0.0); rows];
+        for (depths, rings) in self.depths_m.chunks_mut(rows).zip(self.rings.chunks(rows)) {
+            nearest.fill((f32::INFINITY, 0.0));
+            for measured in 0..rows {
+                let depth = depths[measured];
+                if depth == 0.0 {
+                    continue;
+                }
+                let [above, below] = self.reach[usize::from(rings[measured])];
+                let first = (measured as f32 - above).ceil().max(0.0) as usize;
+                let last = ((measured as f32 + below) as usize).min(rows - 1);
+                for (row, best) in nearest.iter_mut().enumerate().take(last + 1).skip(first) {
+                    let distance = measured.abs_diff(row) as f32;
+                    if distance < best.0 {
+                        *best = (distance, depth);
+                    }
+                }
+            }
+            depths
+                .iter_mut()
+                .zip(&nearest)
+                .for_each(|(depth, best)| *depth = best.1);
+        }
+    }
+
+    /// Names the blocks that may hold voxels of a column's pixels.
+    fn allocate(
+        &self,
+        column: usize,
+        anchor: &Anchor,
+        world_from_sensor: Mat3,
+        config: &MapConfig,
+        near: &mut Near,
+    ) -> Result<(), Skip> {
+        let rows = self.projection.rows();
+        let center = world_from_sensor * (Vec3::Z * self.projection.center_z_m());
+        let truncation_m = config.truncation_m as f32;
+        let mut named = None;
+        for (row, &depth) in self.depths_m[column * rows..(column + 1) * rows].iter().enumerate() {
+            if depth == 0.0 {
+                continue;
+            }
+            let corners = self
+                .projection
+                .corners(row, column)
+                .map(|corner| world_from_sensor * corner);
+            // Depths at which a voxel's range differs by μ from the pixel's, at the flattest of its rays.
+            let flattest = corners.iter().map(|c| c.length()).fold(f32::INFINITY, f32::min);
+            let half = truncation_m / flattest;
+            let ends = corners
+                .iter()
+                .flat_map(|&c| [c * (depth - half).max(0.0), c * (depth + half)]);
+            let (low, high) = ends.fold((Vec3::MAX, Vec3::MIN), |(low, high), end| (low.min(end), high.max(end)));
+            // A column's arc bulges beyond its corners by less than this.
+            let slack = Vec3::splat(depth * self.projection.pitch() * self.projection.pitch() + 1e-3 * truncation_m);
+            let (Some(low), Some(high)) = (
+                anchor.locate(center + low - slack),
+                anchor.locate(center + high + slack),
+            ) else {
+                continue;
+            };
+            let (low, high) = (BlockIndex::of(low.voxel), BlockIndex::of(high.voxel));
+            if named.replace((low, high)) == Some((low, high)) {
+                continue;
+            }
+            for z in low.0.z..=high.0.z {
+                for y in low.0.y..=high.0.y {
+                    for x in low.0.x..=high.0.x {
+                        near.block(BlockIndex(glam::IVec3::new(x, y, z)), 0);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Updates the voxels of a block.
+    fn update(&self, block: BlockIndex, centers: &Centers, truncation_m: f32, updates: &mut Updates) {
+        let rows = self.projection.rows();
+        centers.for_each(block, |local, center| {
+            let seen = self.projection.project(center); // (4.1)-(4.3)
+            let Some((row, column)) = self.projection.pixel(seen) else {
+                return;
+            };
+            let depth = self.depths_m[column * rows + row];
+            let range = (center - Vec3::Z * self.projection.center_z_m()).length();
+            let distance = (depth - seen.depth_m) * (range / seen.depth_m);
+            if depth > 0.0 && distance.abs() <= truncation_m {
+                updates.add(local, distance / truncation_m, (1.0 / range).min(1.0));
+            }
+        });
+    }
+}
