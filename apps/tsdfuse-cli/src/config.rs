@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
-use tsdfuse::fuse::{FuseConfig, Method, RaycastConfig};
+use tsdfuse::fuse::{CaminalConfig, FuseConfig, Method, RaycastConfig};
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
@@ -28,6 +28,8 @@ pub(crate) struct RunConfig {
     pub(crate) raycast: RaycastConfig,
     /// Options of the method `normals`.
     pub(crate) normals: NormalsConfig,
+    /// Options of the method `caminal`.
+    pub(crate) caminal: CaminalConfig,
     /// What becomes surface.
     pub(crate) mesh: MeshConfig,
 }
@@ -38,6 +40,7 @@ impl RunConfig {
         FuseConfig {
             raycast: self.raycast,
             normals: self.normals,
+            caminal: self.caminal,
         }
     }
 

@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use common::{Voxels, assert_agrees, scan};
 use tsdfuse::{
     Integrator, MapConfig, Pose, Scan, SensorModel, VoxelMap,
-    fuse::{Cylindrical, Depth, Kuehner},
+    fuse::{Caminal, CaminalConfig, Cylindrical, Depth, Kuehner},
     glam::{DVec3, IVec3, Vec3},
     index::{BlockIndex, voxel_at},
     scan::Motion,
@@ -83,37 +83,47 @@ fn blocks_on(a: DVec3, b: DVec3, edge: f64) -> Vec<BlockIndex> {
     all.filter(crossed).map(BlockIndex).collect()
 }
 
-/// (5.2) and (5.3) for all voxels of all blocks, after allocation along the lines of sight.
-fn literal_depth(frames: &[Scan]) -> Voxels {
+/// What a camera at a pose sees: depth per pixel, 0 where there is none.
+struct Seen {
+    camera: Pinhole,
+    pose: Pose,
+    depths: Vec<f64>,
+}
+
+/// (5.2) and (5.3) for all voxels of all blocks, after allocation along the lines of sight; each entry is what one scan sees.
+fn literal_depth(scans: &[Vec<Seen>]) -> Voxels {
     let MapConfig {
         voxel_size_m: k,
         truncation_m: mu,
         ..
     } = config();
     let mut sums = Voxels::new();
-    for frame in frames {
+    for views in scans {
         // Blocks that hold something stay.
         let mut blocks: BTreeSet<_> = sums.keys().map(|&v| BlockIndex::of(v.into())).collect();
-        let mut image = vec![0.0; CAMERA.pixels()];
-        for p in &frame.points {
-            let (u, v) = CAMERA.project(*p);
-            image[v.round() as usize * 72 + u.round() as usize] = f64::from(p.x);
-            let at = |depth: f64| frame.pose.transform_point(p.as_dvec3() * (depth / f64::from(p.x)));
-            blocks.extend(blocks_on(at(f64::from(p.x) - mu), at(f64::from(p.x) + mu), 8.0 * k));
+        for Seen { camera, pose, depths } in views {
+            for (pixel, depth) in depths.iter().enumerate().filter(|(_, depth)| **depth > 0.0) {
+                let width = camera.width as usize;
+                let ray = camera.ray((pixel % width) as f32, (pixel / width) as f32).as_dvec3();
+                let at = |depth: f64| pose.transform_point(ray * depth);
+                blocks.extend(blocks_on(at(depth - mu), at(depth + mu), 8.0 * k));
+            }
         }
         for voxel in blocks
             .iter()
             .flat_map(|&b| (0..512).map(move |local| voxel_at(b, local)))
         {
-            let x = frame.pose.inverse().transform_point((voxel.as_dvec3() + 0.5) * k);
-            let (u, v) = (34.0 - 50.0 * x.y / x.x, 29.0 - 52.0 * x.z / x.x);
-            let (u, v) = (u.round(), v.round());
-            if x.x > 0.0 && (0.0..72.0).contains(&u) && (0.0..56.0).contains(&v) {
-                let depth = image[v as usize * 72 + u as usize];
-                let eta = depth - x.x;
-                if depth > 0.0 && eta >= -mu {
-                    let sum = sums.entry(voxel.to_array()).or_default();
-                    *sum = (sum.0 + 1.0, sum.1 + (eta / mu).min(1.0));
+            for Seen { camera, pose, depths } in views {
+                let x = pose.inverse().transform_point((voxel.as_dvec3() + 0.5) * k);
+                let (u, v) = camera.project(x.as_vec3());
+                let (u, v) = (u.round(), v.round());
+                if x.x > 0.0 && u >= 0.0 && v >= 0.0 && u < camera.width as f32 && v < camera.height as f32 {
+                    let depth = depths[v as usize * camera.width as usize + u as usize];
+                    let eta = depth - x.x;
+                    if depth > 0.0 && eta >= -mu {
+                        let sum = sums.entry(voxel.to_array()).or_default();
+                        *sum = (sum.0 + 1.0, sum.1 + (eta / mu).min(1.0));
+                    }
                 }
             }
         }
@@ -121,12 +131,27 @@ fn literal_depth(frames: &[Scan]) -> Voxels {
     sums.into_iter().map(|(v, (w, f))| (v, (w, f / w))).collect()
 }
 
+/// A frame as its camera saw it.
+fn seen(frame: &Scan) -> Vec<Seen> {
+    let camera = frame.camera.unwrap();
+    let mut depths = vec![0.0; camera.pixels()];
+    for p in &frame.points {
+        let (u, v) = camera.project(*p);
+        depths[v.round() as usize * camera.width as usize + u.round() as usize] = f64::from(p.x);
+    }
+    vec![Seen {
+        camera,
+        pose: frame.pose,
+        depths,
+    }]
+}
+
 #[test]
 fn depth_is_what_its_formulas_say() {
     let frames = [frame(0), frame(1), frame(2)];
     let map = fuse(&mut Depth::default(), &frames);
     assert!(map.observed_voxel_count() > 20_000);
-    assert_agrees(&map, &literal_depth(&frames), 0.005, "depth");
+    assert_agrees(&map, &literal_depth(&frames.each_ref().map(seen)), 0.005, "depth");
 }
 
 /// A LiDAR with 14 beams at uneven gaps, of which the upper ones sit 3 cm above the lower ones.
@@ -379,5 +404,229 @@ fn kuehner_is_what_its_description_says() {
         let map = fuse(&mut Kuehner::new(Some(lidar())), &sweeps);
         assert!(map.observed_voxel_count() > 20_000);
         assert_agrees(&map, &literal_kuehner(&sweeps), 0.01, "kuehner");
+    }
+}
+
+/// Four cameras of 90° that see all of [`lidar`]'s beams, with pixels as wide as its columns.
+fn virtual_camera() -> Pinhole {
+    let focal = COLUMNS as f64 / std::f64::consts::TAU;
+    let rise = |degrees: f64| focal * degrees.to_radians().tan() * 2_f64.sqrt();
+    let edge = |pixels: f64| pixels.ceil() as u32 + 2;
+    let width = edge(2.0 * focal);
+    Pinhole {
+        width,
+        height: edge(rise(22.0) + rise(31.0)),
+        fx: focal as f32,
+        fy: focal as f32,
+        cx: 0.5 * (width - 1) as f32,
+        cy: rise(22.0).ceil() as f32,
+    }
+}
+
+/// The mean of the filled pixels in the 3×3 pixels about one.
+fn mean_about(image: &[f64], width: i32, pixel: i32) -> f64 {
+    let near = (-1..=1).flat_map(|dv| (-1..=1).map(move |du| (pixel / width + dv, pixel % width + du)));
+    let inside = near.filter(|&(v, u)| (0..width).contains(&u) && (0..image.len() as i32 / width).contains(&v));
+    let filled: Vec<f64> = inside
+        .map(|(v, u)| image[(v * width + u) as usize])
+        .filter(|d| *d > 0.0)
+        .collect();
+    filled.iter().sum::<f64>() / (filled.len() as f64).max(1.0)
+}
+
+/// Projected, spread for as many rounds as half a hole of 12° has pixels, and smoothed as often.
+fn literal_views(sweep: &Scan) -> Vec<Seen> {
+    let camera = virtual_camera();
+    let rounds = (6_f64.to_radians() * f64::from(camera.fx)).ceil() as usize;
+    let trajectory = sweep
+        .motion
+        .map(|motion| tsdfuse::scan::Trajectory::new(sweep.pose, &motion));
+    let looking = |k: i32| {
+        let turned = tsdfuse::glam::DQuat::from_rotation_z(-f64::from(k) * std::f64::consts::FRAC_PI_2);
+        let pose = Pose {
+            rotation: sweep.pose.rotation * turned,
+            ..sweep.pose
+        };
+        let mut depths = vec![0.0; camera.pixels()];
+        for (i, p) in sweep.points.iter().enumerate() {
+            let at = trajectory.map_or(sweep.pose, |t| t.at(f64::from(sweep.times.as_ref().unwrap()[i])));
+            let p = pose
+                .inverse()
+                .transform_point(at.transform_point(p.as_dvec3()))
+                .as_vec3();
+            let (u, v) = camera.project(p);
+            if p.x > 0.0
+                && u.round() >= 0.0
+                && v.round() >= 0.0
+                && u.round() < camera.width as f32
+                && v.round() < camera.height as f32
+            {
+                let depth = &mut depths[v.round() as usize * camera.width as usize + u.round() as usize];
+                *depth = if *depth == 0.0 {
+                    f64::from(p.x)
+                } else {
+                    depth.min(f64::from(p.x))
+                };
+            }
+        }
+        let measured = depths.clone();
+        for round in 0..2 * rounds {
+            let before = depths.clone();
+            for (pixel, depth) in depths.iter_mut().enumerate() {
+                let open = if round < rounds {
+                    before[pixel] == 0.0
+                } else {
+                    before[pixel] > 0.0 && measured[pixel] == 0.0
+                };
+                if open {
+                    *depth = mean_about(&before, camera.width as i32, pixel as i32);
+                }
+            }
+        }
+        assert!(measured.iter().zip(&depths).all(|(m, d)| *m == 0.0 || m == d));
+        Seen { camera, pose, depths }
+    };
+    (0..4).map(looking).collect()
+}
+
+#[test]
+fn caminal_is_what_its_description_says() {
+    for moving in [false, true] {
+        let sweeps = [sweep(0, moving), sweep(2, moving)];
+        let options = CaminalConfig {
+            max_gap_deg: 12.0,
+            ..Default::default()
+        };
+        let map = fuse(&mut Caminal::new(options, Some(lidar())), &sweeps);
+        assert!(map.observed_voxel_count() > 20_000);
+        assert_agrees(
+            &map,
+            &literal_depth(&sweeps.each_ref().map(literal_views)),
+            0.01,
+            "caminal",
+        );
+    }
+}
+
+#[test]
+fn threads_change_no_bit_of_any_image_method() {
+    let sweeps: Vec<_> = (0..3).map(|n| sweep(n, n > 0)).collect();
+    let frames: Vec<_> = (0..3).map(frame).collect();
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            [
+                fuse(&mut Depth::default(), &frames),
+                fuse(&mut Caminal::new(CaminalConfig::default(), Some(lidar())), &sweeps),
+                fuse(&mut Cylindrical::new(Some(lidar())), &sweeps),
+                fuse(&mut Kuehner::new(Some(lidar())), &sweeps),
+            ]
+        })
+    };
+    let one = run(1);
+    assert!(one.iter().all(|map| map.observed_voxel_count() > 20_000));
+    assert!([2, 7].into_iter().all(|threads| run(threads) == one));
+    // The comparison sees a scan more.
+    assert!(fuse(&mut Depth::default(), &frames[..2]) != one[0]);
+}
+
+#[test]
+fn scans_that_give_no_image_are_refused_in_one_sentence() {
+    let mut map = VoxelMap::new(config()).unwrap();
+    let mut refused =
+        |method: &mut dyn Integrator, scan: &Scan| method.integrate(&mut map, scan).unwrap_err().to_string();
+    let sweep = Scan {
+        name: "000007".into(),
+        ..sweep(0, false)
+    };
+    let told = refused(&mut Depth::default(), &sweep);
+    assert!(
+        told.starts_with("000007: ") && told.contains("depth camera") && told.contains("caminal"),
+        "{told}"
+    );
+    let other = Scan {
+        camera: Some(Pinhole { cx: 3.0, ..CAMERA }),
+        ..frame(0)
+    };
+    assert!(refused(&mut Depth::default(), &other).contains("another size"));
+    // Points all over, without rings: no beams show.
+    let cloud = Scan {
+        name: "cloud".into(),
+        rings: None,
+        times: None,
+        ..scan(0, 3000)
+    };
+    for method in [
+        &mut Kuehner::default() as &mut dyn Integrator,
+        &mut Cylindrical::default(),
+        &mut Caminal::default(),
+    ] {
+        let told = refused(method, &cloud);
+        assert!(
+            told.starts_with("cloud: no laser beams show") && told.contains("name the sensor"),
+            "{told}"
+        );
+    }
+    assert_eq!(map.block_count(), 0);
+}
+
+#[test]
+fn lost_rings_are_recovered() {
+    let mut with = sweep(0, false);
+    // Beams from one point, whose elevations tell them apart.
+    let rings = with.rings.as_ref().unwrap();
+    (with.points.iter_mut().zip(rings)).for_each(|(p, &ring)| p.z -= if ring > 6 { 0.03 } else { 0.0 });
+    let without = Scan {
+        rings: None,
+        ..with.clone()
+    };
+    let shuffled = Scan {
+        rings: with
+            .rings
+            .as_ref()
+            .map(|rings| rings.iter().map(|ring| 13 - ring).collect()),
+        ..with.clone()
+    };
+    let fuse = |scan: &Scan| fuse(&mut Kuehner::new(Some(lidar())), std::slice::from_ref(scan));
+    assert!(fuse(&with) == fuse(&without));
+    assert!(fuse(&with) != fuse(&shuffled), "rings are of no consequence");
+}
+
+#[test]
+fn hostile_returns_are_skipped_and_counted() {
+    let bad = [
+        Vec3::NAN,
+        Vec3::ZERO,
+        Vec3::new(f32::INFINITY, 0.0, 0.0),
+        Vec3::splat(f32::MAX),
+        Vec3::splat(-3e9),
+        Vec3::Z,
+    ];
+    let mut sweep = sweep(0, false);
+    let good = sweep.points.len();
+    sweep.points.extend(bad);
+    sweep.rings.as_mut().unwrap().extend([0, 1, 2, 3, 500, u16::MAX]);
+    for method in [
+        &mut Kuehner::new(Some(lidar())) as &mut dyn Integrator,
+        &mut Cylindrical::new(Some(lidar())),
+        &mut Caminal::new(CaminalConfig::default(), Some(lidar())),
+    ] {
+        let mut map = VoxelMap::new(config()).unwrap();
+        let done = method.integrate(&mut map, &sweep).unwrap();
+        let skipped = done.skipped;
+        let lost = skipped.outside_grid
+            + skipped.without_normal
+            + skipped.without_weight
+            + skipped.outside_image
+            + skipped.hidden;
+        assert_eq!(
+            done.fused_returns + lost,
+            (good + bad.len()) as u64,
+            "{method:p}: {done:?}"
+        );
+        assert!(
+            lost >= bad.len() as u64 && done.fused_returns > good as u64 / 2,
+            "{skipped:?}"
+        );
     }
 }

@@ -98,7 +98,9 @@ fn center_of_projection(points: &[Vec3], rings: &[u16], sensor: &SensorModel) ->
     let (mut heights, mut weights) = (0.0, 0.0);
     for (point, &ring) in points.iter().zip(rings) {
         let p = point.as_dvec3();
-        if let Some((tan, cos2)) = beams.get(usize::from(ring)).filter(|_| p.is_finite()) {
+        // Not true for NaN.
+        let valid = point.length() <= sensor.max_range_m;
+        if let Some((tan, cos2)) = beams.get(usize::from(ring)).filter(|_| valid) {
             heights += cos2 * (p.z - p.x.hypot(p.y) * tan);
             weights += cos2;
         }

@@ -5,6 +5,7 @@
 //! about or on a line, and `scatter` finds blocks, combines updates and spreads the work over threads.
 
 mod beams;
+mod caminal;
 mod centers;
 mod cylinder;
 mod cylindrical;
@@ -19,6 +20,7 @@ mod scatter;
 
 use serde::{Deserialize, Serialize};
 
+pub use caminal::{Caminal, CaminalConfig};
 pub use cylindrical::Cylindrical;
 pub use depth::Depth;
 pub use kuehner::Kuehner;
@@ -44,6 +46,8 @@ pub enum Method {
     Kuehner,
     /// [`Depth`].
     Depth,
+    /// [`Caminal`].
+    Caminal,
 }
 
 /// The options of all methods.
@@ -54,6 +58,8 @@ pub struct FuseConfig {
     pub raycast: RaycastConfig,
     /// Options of [`Normals`].
     pub normals: NormalsConfig,
+    /// Options of [`Caminal`].
+    pub caminal: CaminalConfig,
 }
 
 impl FuseConfig {
@@ -62,7 +68,8 @@ impl FuseConfig {
     /// # Errors
     /// [`FuseError::Config`] names the option and what is possible.
     pub fn validate(&self) -> Result<(), FuseError> {
-        self.normals.validate().map_err(|e| FuseError::Config(e.to_string()))
+        self.normals.validate().map_err(|e| FuseError::Config(e.to_string()))?;
+        self.caminal.validate()
     }
 }
 
@@ -84,6 +91,7 @@ impl Method {
             Self::Cylindrical => "cylindrical",
             Self::Kuehner => "kuehner",
             Self::Depth => "depth",
+            Self::Caminal => "caminal",
         }
     }
 
@@ -96,6 +104,7 @@ impl Method {
             Self::Cylindrical => Box::new(Cylindrical::new(sensor.cloned())),
             Self::Kuehner => Box::new(Kuehner::new(sensor.cloned())),
             Self::Depth => Box::<Depth>::default(),
+            Self::Caminal => Box::new(Caminal::new(config.caminal, sensor.cloned())),
         }
     }
 }
