@@ -81,6 +81,7 @@ impl Method {
         Self::Cylindrical,
         Self::Kuehner,
         Self::Depth,
+        Self::Caminal,
     ];
 
     /// The name on the command line.
