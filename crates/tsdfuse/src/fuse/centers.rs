@@ -24,22 +24,27 @@ impl Centers {
         self.rotation * (self.anchor.offset_of(block.first_voxel()) + to_middle)
     }
 
-    /// Calls `visit` with the number of each voxel of the block, in order, and its centre.
+    /// Calls `visit` with each row of the block, in order: the number of its first voxel, and the centres' coordinates, which
+    /// compilers turn into vectors.
     #[inline]
-    pub(crate) fn for_each(&self, block: BlockIndex, mut visit: impl FnMut(usize, Vec3)) {
+    pub(crate) fn for_each_row(&self, block: BlockIndex, mut visit: impl FnMut(usize, &Row)) {
         let first = self.rotation * self.anchor.offset_of(block.first_voxel());
         let step = self.rotation * self.voxel_size_m;
         for z in 0..BLOCK_EDGE {
             for y in 0..BLOCK_EDGE {
-                let row = first + step.z_axis * z as f32 + step.y_axis * y as f32;
-                for x in 0..BLOCK_EDGE {
-                    let local = x + BLOCK_EDGE * (y + BLOCK_EDGE * z);
-                    visit(local as usize, row + step.x_axis * x as f32);
-                }
+                let start = first + step.z_axis * z as f32 + step.y_axis * y as f32;
+                let along = |k: usize| std::array::from_fn(|x| start[k] + step.x_axis[k] * x as f32);
+                visit((BLOCK_EDGE * (y + BLOCK_EDGE * z)) as usize, &[0, 1, 2].map(along));
             }
         }
     }
 }
+
+/// Voxels in a row.
+pub(crate) const ROW: usize = BLOCK_EDGE as usize;
+
+/// The x, y and z coordinates of the voxels in a row.
+pub(crate) type Row = [[f32; ROW]; 3];
 
 #[cfg(test)]
 mod tests {
@@ -61,11 +66,13 @@ mod tests {
         let off = centers.of_block(block) - centers.rotation * (middle * 0.05 - origin).as_vec3();
         assert!(off.length() < 2e-5, "{off}");
         let mut next = 0;
-        centers.for_each(block, |local, center| {
-            assert_eq!(local, next);
-            next += 1;
-            let exact = (grid.center(voxel_at(block, local)) - origin).as_vec3();
-            assert!((center - centers.rotation * exact).length() < 2e-5);
+        centers.for_each_row(block, |first, [x, y, z]| {
+            for i in 0..ROW {
+                assert_eq!(first + i, next);
+                next += 1;
+                let exact = (grid.center(voxel_at(block, first + i)) - origin).as_vec3();
+                assert!((Vec3::new(x[i], y[i], z[i]) - centers.rotation * exact).length() < 2e-5);
+            }
         });
         assert_eq!(next, 512);
     }

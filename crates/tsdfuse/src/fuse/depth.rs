@@ -9,13 +9,13 @@
 //! Strong with dense images: no gaps, each voxel is written once a frame. Weak at grazing incidence, since η is measured along
 //! the optical axis, and at depth edges, where a camera's pixels mix two surfaces. LiDAR has no such image: see [`super::Caminal`].
 
-use std::time::Instant;
+use std::{array, time::Instant};
 
 use glam::{Mat3, Vec3};
 
 use super::{
     FuseError, Integration, Integrator,
-    centers::{BLOCK_RADIUS, Centers},
+    centers::{BLOCK_RADIUS, Centers, ROW},
     gather::{Gather, Near, Updates},
     pierced::Segment,
     scatter::Skip,
@@ -173,14 +173,17 @@ pub(super) fn integrate(map: &mut VoxelMap, anchor: Anchor, views: &[View], gath
 impl View {
     /// Updates the voxels of a block.
     fn update(&self, block: BlockIndex, centers: &Centers, truncation_m: f32, updates: &mut Updates) {
-        centers.for_each(block, |local, center| {
-            let depth = self
-                .camera
-                .pixel(center)
-                .map_or(0.0, |pixel| self.image.depths_m[pixel]);
-            let eta = depth - center.x; // (5.2)
-            if depth > 0.0 && eta >= -truncation_m {
-                updates.add(local, eta / truncation_m, 1.0); // (5.3); the engine limits F to 1
+        centers.for_each_row(block, |first, [x, y, z]| {
+            let seen: [(f32, f32); ROW] = array::from_fn(|i| self.camera.project(Vec3::new(x[i], y[i], z[i])));
+            for (i, seen) in seen.into_iter().enumerate() {
+                let depth = self
+                    .camera
+                    .pixel_at(seen)
+                    .map_or(0.0, |pixel| self.image.depths_m[pixel]);
+                let eta = depth - x[i]; // (5.2)
+                if depth > 0.0 && eta >= -truncation_m {
+                    updates.add(first + i, eta / truncation_m, 1.0); // (5.3); the engine limits F to 1
+                }
             }
         });
     }

@@ -11,14 +11,14 @@
 //! Strong far away: the ground between two rings is closed. Weak at edges, where a pixel stands for half a beam's gap, and at
 //! grazing incidence, where such steps of constant range stand on the ground like stairs.
 
-use std::time::Instant;
+use std::{array, time::Instant};
 
-use glam::{Mat3, Vec3};
+use glam::{Mat3, Vec2, Vec3};
 
 use super::{
     FuseError, Integration, Integrator, Skipped,
     beams::Beams,
-    centers::Centers,
+    centers::{Centers, ROW},
     depth::world_axes,
     gather::{Gather, Near, Updates},
     placed::Placed,
@@ -28,7 +28,7 @@ use crate::{
     index::{Anchor, BlockIndex},
     map::{MapConfig, VoxelMap},
     scan::Scan,
-    sensor::{Cylindrical, SensorModel, approx::sin_cos, rings_of},
+    sensor::{Cylindrical, CylindricalPoint, SensorModel, approx::sin_cos, rings_of},
 };
 
 /// The integrator of dense cylindrical depth images.
@@ -255,16 +255,22 @@ impl Image {
     /// Updates the voxels of a block.
     fn update(&self, block: BlockIndex, centers: &Centers, truncation_m: f32, updates: &mut Updates) {
         let rows = self.projection.rows();
-        centers.for_each(block, |local, center| {
-            let seen = self.projection.project(center); // (4.1)-(4.3)
-            let Some((row, column)) = self.projection.pixel(seen) else {
-                return;
-            };
-            let depth = self.depths_m[column * rows + row];
-            let range = (center - Vec3::Z * self.projection.center_z_m()).length();
-            let distance = (depth - seen.depth_m) * (range / seen.depth_m);
-            if depth > 0.0 && distance.abs() <= truncation_m {
-                updates.add(local, distance / truncation_m, (1.0 / range).min(1.0));
+        let center_z = self.projection.center_z_m();
+        centers.for_each_row(block, |first, [x, y, z]| {
+            let seen: [CylindricalPoint; ROW] =
+                array::from_fn(|i| self.projection.project(Vec3::new(x[i], y[i], z[i]))); // (4.1)-(4.3)
+            for (i, seen) in seen.into_iter().enumerate() {
+                let Some((row, column)) = self.projection.pixel(seen) else {
+                    continue;
+                };
+                let depth = self.depths_m[column * rows + row];
+                if depth > 0.0 {
+                    let range = Vec2::new(seen.depth_m, z[i] - center_z).length();
+                    let distance = (depth - seen.depth_m) * (range / seen.depth_m);
+                    if distance.abs() <= truncation_m {
+                        updates.add(first + i, distance / truncation_m, (1.0 / range).min(1.0));
+                    }
+                }
             }
         });
     }

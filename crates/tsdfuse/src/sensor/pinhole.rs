@@ -133,7 +133,12 @@ impl Pinhole {
     /// The pixel in which a point (sensor frame) is seen, numbered row by row; `None` outside the image.
     #[inline]
     pub fn pixel(&self, point: Vec3) -> Option<usize> {
-        let (u, v) = self.project(point);
+        self.pixel_at(self.project(point))
+    }
+
+    /// The pixel that holds a place in the image, numbered row by row; `None` outside.
+    #[inline]
+    pub fn pixel_at(&self, (u, v): (f32, f32)) -> Option<usize> {
         // Also false for NaN.
         let inside = u >= -0.5 && v >= -0.5 && u < self.width as f32 - 0.5 && v < self.height as f32 - 0.5;
         // Not negative, so that truncation is the floor.
