@@ -33,8 +33,14 @@ impl Centers {
         for z in 0..BLOCK_EDGE {
             for y in 0..BLOCK_EDGE {
                 let start = first + step.z_axis * z as f32 + step.y_axis * y as f32;
-                let along = |k: usize| std::array::from_fn(|x| start[k] + step.x_axis[k] * x as f32);
-                visit((BLOCK_EDGE * (y + BLOCK_EDGE * z)) as usize, &[0, 1, 2].map(along));
+                let mut row = [[0.0; ROW]; 3];
+                for (k, row) in row.iter_mut().enumerate() {
+                    let (start, step) = (start[k], step.x_axis[k]);
+                    for (x, coordinate) in row.iter_mut().enumerate() {
+                        *coordinate = start + step * x as f32;
+                    }
+                }
+                visit((BLOCK_EDGE * (y + BLOCK_EDGE * z)) as usize, &row);
             }
         }
     }

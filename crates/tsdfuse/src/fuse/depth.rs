@@ -9,7 +9,7 @@
 //! Strong with dense images: no gaps, each voxel is written once a frame. Weak at grazing incidence, since η is measured along
 //! the optical axis, and at depth edges, where a camera's pixels mix two surfaces. LiDAR has no such image: see [`super::Caminal`].
 
-use std::{array, time::Instant};
+use std::time::Instant;
 
 use glam::{Mat3, Vec3};
 
@@ -174,12 +174,14 @@ impl View {
     /// Updates the voxels of a block.
     fn update(&self, block: BlockIndex, centers: &Centers, truncation_m: f32, updates: &mut Updates) {
         centers.for_each_row(block, |first, [x, y, z]| {
-            let seen: [(f32, f32); ROW] = array::from_fn(|i| self.camera.project(Vec3::new(x[i], y[i], z[i])));
-            for (i, seen) in seen.into_iter().enumerate() {
-                let depth = self
-                    .camera
-                    .pixel_at(seen)
-                    .map_or(0.0, |pixel| self.image.depths_m[pixel]);
+            let mut seen = [[0.0; ROW]; 2];
+            let [at_column, at_row] = &mut seen;
+            for i in 0..ROW {
+                (at_column[i], at_row[i]) = self.camera.project(Vec3::new(x[i], y[i], z[i]));
+            }
+            for i in 0..ROW {
+                let pixel = self.camera.pixel_at((seen[0][i], seen[1][i]));
+                let depth = pixel.map_or(0.0, |pixel| self.image.depths_m[pixel]);
                 let eta = depth - x[i]; // (5.2)
                 if depth > 0.0 && eta >= -truncation_m {
                     updates.add(first + i, eta / truncation_m, 1.0); // (5.3); the engine limits F to 1

@@ -11,7 +11,7 @@
 //! Strong far away: the ground between two rings is closed. Weak at edges, where a pixel stands for half a beam's gap, and at
 //! grazing incidence, where such steps of constant range stand on the ground like stairs.
 
-use std::{array, time::Instant};
+use std::time::Instant;
 
 use glam::{Mat3, Vec2, Vec3};
 
@@ -257,9 +257,18 @@ impl Image {
         let rows = self.projection.rows();
         let center_z = self.projection.center_z_m();
         centers.for_each_row(block, |first, [x, y, z]| {
-            let seen: [CylindricalPoint; ROW] =
-                array::from_fn(|i| self.projection.project(Vec3::new(x[i], y[i], z[i]))); // (4.1)-(4.3)
-            for (i, seen) in seen.into_iter().enumerate() {
+            let mut seen = [[0.0; ROW]; 3];
+            let [at_column, at_row, at_depth] = &mut seen;
+            for i in 0..ROW {
+                let point = self.projection.project(Vec3::new(x[i], y[i], z[i])); // (4.1)-(4.3)
+                (at_column[i], at_row[i], at_depth[i]) = (point.column, point.row, point.depth_m);
+            }
+            for i in 0..ROW {
+                let seen = CylindricalPoint {
+                    column: seen[0][i],
+                    row: seen[1][i],
+                    depth_m: seen[2][i],
+                };
                 let Some((row, column)) = self.projection.pixel(seen) else {
                     continue;
                 };
