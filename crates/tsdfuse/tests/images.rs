@@ -470,17 +470,36 @@ fn literal_views(sweep: &Scan) -> Vec<Seen> {
             }
         }
         let measured = depths.clone();
+        // In an image with a frame of empty pixels.
+        let (width, height) = (camera.width as usize, camera.height as usize);
+        let wide = width + 2 * rounds;
+        let framed = |pixel: usize| (pixel / width + rounds) * wide + pixel % width + rounds;
+        let mut image = vec![0.0; wide * (height + 2 * rounds)];
+        (0..depths.len()).for_each(|pixel| image[framed(pixel)] = depths[pixel]);
+        let sparse = image.clone();
         for round in 0..2 * rounds {
-            let before = depths.clone();
-            for (pixel, depth) in depths.iter_mut().enumerate() {
-                let open = if round < rounds {
-                    before[pixel] == 0.0
-                } else {
-                    before[pixel] > 0.0 && measured[pixel] == 0.0
-                };
-                if open {
-                    *depth = mean_about(&before, camera.width as i32, pixel as i32);
+            let before = image.clone();
+            for (pixel, depth) in image.iter_mut().enumerate() {
+                let spreads = round < rounds && before[pixel] == 0.0;
+                let smooths = round >= rounds && before[pixel] > 0.0 && sparse[pixel] == 0.0;
+                if spreads || smooths {
+                    *depth = mean_about(&before, wide as i32, pixel as i32);
                 }
+            }
+        }
+        (0..depths.len()).for_each(|pixel| depths[pixel] = image[framed(pixel)]);
+        // What stays lies in the closing of what was measured.
+        let (r, width) = (rounds as i32, width as i32);
+        let square = |v: i32, u: i32| (v - r..=v + r).flat_map(move |v| (u - r..=u + r).map(move |u| (v, u)));
+        let is_measured = |(v, u): (i32, i32)| {
+            (0..width).contains(&u)
+                && (0..camera.height as i32).contains(&v)
+                && measured[(v * width + u) as usize] > 0.0
+        };
+        for (pixel, depth) in depths.iter_mut().enumerate().filter(|(_, depth)| **depth > 0.0) {
+            let (v, u) = (pixel as i32 / width, pixel as i32 % width);
+            if !square(v, u).all(|(v, u)| square(v, u).any(is_measured)) {
+                *depth = 0.0;
             }
         }
         assert!(measured.iter().zip(&depths).all(|(m, d)| *m == 0.0 || m == d));

@@ -3,7 +3,8 @@
 //! Returns are projected into virtual pinhole cameras at the sensor, pixels as fine as its columns. Holes between them are
 //! filled by 8-connected morphological interpolation (Casas, 1996), which keeps every measured pixel: first the measured depths
 //! spread, each round into the pixels beside what is filled, where several meet as their mean; then, for as many rounds, every
-//! spread pixel becomes the mean of its neighbourhood. What comes out is fused by [`super::Depth`]: which voxels, what distance
+//! spread pixel becomes the mean of its neighbourhood; then what is not between measured pixels is drawn back (so that the filled
+//! set is the morphological closing of the measured one). What comes out is fused by [`super::Depth`]: which voxels, what distance
 //! (5.2)(5.3), weight 1.
 //!
 //! The paper looks through one camera (`cameras = 1`, 90° ahead); by default four see all around.
@@ -151,40 +152,75 @@ fn camera(cameras: u32, sensor: &SensorModel) -> Pinhole {
     }
 }
 
-/// Fills the empty pixels (0) that are at most `rounds` away from a measured one.
+/// Fills holes (0), which are up to `2·rounds` pixels wide.
 fn interpolate(depths: &mut [f32], width: usize, rounds: usize) {
+    // A frame of empty pixels, so that borders are no holes.
+    let padded_width = width + 2 * rounds;
+    let frame = vec![0.0; rounds * padded_width];
+    let mut padded = frame.clone();
+    for row in depths.chunks(width) {
+        padded.extend(
+            std::iter::repeat_n(0.0, rounds)
+                .chain(row.iter().copied())
+                .chain(std::iter::repeat_n(0.0, rounds)),
+        );
+    }
+    padded.extend(frame);
+    interpolate_within(&mut padded, padded_width, rounds);
+    let rows = padded.chunks(padded_width).skip(rounds);
+    depths
+        .chunks_mut(width)
+        .zip(rows)
+        .for_each(|(to, from)| to.copy_from_slice(&from[rounds..rounds + width]));
+}
+
+fn interpolate_within(depths: &mut [f32], width: usize, rounds: usize) {
     let measured: Vec<bool> = depths.iter().map(|&depth| depth > 0.0).collect();
     let mut before = depths.to_vec();
-    for round in 0..2 * rounds {
-        let spreads = round < rounds;
+    let mut round = |change: &dyn Fn(f32, About) -> f32| {
         before.copy_from_slice(depths);
-        for (pixel, depth) in depths.iter_mut().enumerate() {
-            let open = if spreads {
-                *depth == 0.0
-            } else {
-                *depth > 0.0 && !measured[pixel]
-            };
-            if open {
-                *depth = mean_about(&before, width, pixel);
-            }
+        for (pixel, depth) in depths.iter_mut().enumerate().filter(|(pixel, _)| !measured[*pixel]) {
+            *depth = change(*depth, about(&before, width, pixel));
         }
+    };
+    let spread = |depth, about: About| if depth == 0.0 { about.mean() } else { depth };
+    let smooth = |depth, about: About| if depth > 0.0 { about.mean() } else { depth };
+    let draw_back = |depth, about: About| if about.empty > 0 { 0.0 } else { depth };
+    (0..rounds).for_each(|_| round(&spread));
+    (0..rounds).for_each(|_| round(&smooth));
+    (0..rounds).for_each(|_| round(&draw_back));
+}
+
+/// A pixel and its eight neighbours.
+#[derive(Clone, Copy, Debug, Default)]
+struct About {
+    sum: f32,
+    filled: u32,
+    empty: u32,
+}
+
+impl About {
+    /// The mean of the filled pixels; 0 if there is none.
+    fn mean(self) -> f32 {
+        self.sum / self.filled.max(1) as f32
     }
 }
 
-/// The mean of the filled pixels among one and its eight neighbours; 0 if there is none.
-fn mean_about(depths: &[f32], width: usize, pixel: usize) -> f32 {
+#[inline]
+fn about(depths: &[f32], width: usize, pixel: usize) -> About {
     let (row, column) = (pixel / width, pixel % width);
-    let (mut sum, mut count) = (0.0, 0.0);
+    let mut about = About::default();
     for beside in row.saturating_sub(1)..=row + 1 {
         let Some(depths) = depths.get(beside * width..(beside + 1) * width) else {
             continue;
         };
         for &depth in &depths[column.saturating_sub(1)..(column + 2).min(width)] {
-            sum += depth;
-            count += if depth > 0.0 { 1.0 } else { 0.0 };
+            about.sum += depth;
+            about.filled += u32::from(depth > 0.0);
+            about.empty += u32::from(depth == 0.0);
         }
     }
-    if count > 0.0 { sum / count } else { 0.0 }
+    about
 }
 
 #[cfg(test)]
@@ -218,20 +254,29 @@ mod tests {
     }
 
     #[test]
-    fn measured_pixels_stay_and_holes_within_reach_are_filled() {
-        let mut depths = vec![0.0; 9 * 9];
-        (depths[4 * 9], depths[4 * 9 + 6]) = (2.0, 4.0);
-        interpolate(&mut depths, 9, 2);
-        assert_eq!((depths[4 * 9], depths[4 * 9 + 6]), (2.0, 4.0));
-        let row: Vec<f32> = depths[4 * 9..5 * 9].to_vec();
+    fn measured_pixels_stay_and_only_holes_are_filled() {
+        let sparse = |columns: &[usize]| {
+            let mut depths = vec![0.0; 9 * 9];
+            columns
+                .iter()
+                .for_each(|&column| depths[4 * 9 + column] = column as f32);
+            depths
+        };
+        let filled = |columns: &[usize], rounds| {
+            let mut depths = sparse(columns);
+            interpolate(&mut depths, 9, rounds);
+            depths[4 * 9..5 * 9].to_vec()
+        };
+        let row = filled(&[2, 6], 2);
+        assert_eq!((row[2], row[6]), (2.0, 6.0));
         assert!(
-            row[1] >= 2.0 && row[1] < 3.0 && row[3] == 0.0 && row[5] > 3.0,
+            row[2] < row[3] && row[3] < row[4] && row[4] < row[5] && row[5] < row[6],
             "{row:?}"
         );
-        assert_eq!(depths.iter().filter(|d| **d > 0.0).count(), 15 + 25);
-        interpolate(&mut depths, 9, 1);
-        let row: Vec<f32> = depths[4 * 9..5 * 9].to_vec();
-        assert!(row[3] > 2.0 && row[3] < 4.0 && row.iter().all(|d| *d > 0.0), "{row:?}");
+        assert_eq!([row[0], row[1], row[7], row[8]], [0.0; 4], "it spreads outwards");
+        // A hole that is too wide, and nothing to fill.
+        assert_eq!(filled(&[1, 7], 2), sparse(&[1, 7])[36..45]);
+        assert_eq!(filled(&[4], 3), sparse(&[4])[36..45]);
     }
 
     #[test]
