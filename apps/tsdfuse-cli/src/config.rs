@@ -9,7 +9,9 @@ use tsdfuse::fuse::{CaminalConfig, FuseConfig, Method, RaycastConfig};
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
+use tsdfuse::sensor::Pinhole;
 use tsdfuse::{MapConfig, SensorModel};
+use tsdfuse_io::Dataset;
 
 use crate::exit::Usage;
 
@@ -22,7 +24,7 @@ pub(crate) struct RunConfig {
     /// The voxels.
     pub(crate) map: MapConfig,
     /// Which ranges are measurements. Unless they are set, the shortest is the data set's and the longest the sensor's, where
-    /// these are known.
+    /// these are known; as method and voxels, they have other defaults for depth cameras.
     pub(crate) range: RangeLimits,
     /// Options of the method `raycast`.
     pub(crate) raycast: RaycastConfig,
@@ -51,6 +53,38 @@ impl RunConfig {
         self.mesh.validate().map_err(Usage::new)
     }
 }
+
+/// What the data tell of how to fuse them, where that is not set.
+#[derive(Debug, Default)]
+pub(crate) struct Suggested {
+    /// The sensor, whose longest range is that of the run.
+    pub(crate) sensor: Option<SensorModel>,
+    /// The shortest range.
+    pub(crate) min_range_m: Option<f32>,
+    /// The depth camera, for which there are settings of its own.
+    pub(crate) camera: Option<Pinhole>,
+}
+
+impl Suggested {
+    /// What a data set tells.
+    pub(crate) fn by(dataset: &Dataset) -> Self {
+        Self {
+            sensor: dataset.sensor(),
+            min_range_m: dataset.min_range_m(),
+            camera: dataset.camera(),
+        }
+    }
+}
+
+/// The usual settings for depth cameras, which look at rooms: their noise grows with the square of the range (a Kinect's is
+/// 2 cm at 3 m, 6 cm at 5 m).
+const DEPTH_CAMERA_METHOD: Method = Method::Raycast;
+/// Edge of a voxel, metres.
+pub(crate) const DEPTH_CAMERA_VOXEL_SIZE_M: f64 = 0.02;
+/// Half width of the band, metres; wider only where voxels are set that are larger than a quarter of it.
+pub(crate) const DEPTH_CAMERA_TRUNCATION_M: f64 = 0.08;
+/// The longest range, metres.
+pub(crate) const DEPTH_CAMERA_MAX_RANGE_M: f32 = 5.0;
 
 /// Settings, those set later going before those set earlier.
 #[derive(Debug, Default)]
@@ -102,16 +136,32 @@ impl Layers {
         self.set(&format!("--set {setting}"), key, value)
     }
 
-    /// The whole configuration for the data of this sensor, nearer than `min_range_m` to which is its vehicle; checked.
-    pub(crate) fn resolve(self, sensor: Option<&SensorModel>, min_range_m: Option<f32>) -> Result<RunConfig> {
-        let is_set = |limit: &str| self.0.get("range").and_then(|range| range.get(limit)).is_some();
-        let (min_is_set, max_is_set) = (is_set("min_range_m"), is_set("max_range_m"));
+    /// The whole configuration: what is set, else what the data suggest, else the defaults; checked.
+    pub(crate) fn resolve(self, data: &Suggested) -> Result<RunConfig> {
+        let is_free = |section: &str, key: &str| self.0.get(section).is_none_or(|section| section.get(key).is_none());
+        let [min_range, max_range] = ["min_range_m", "max_range_m"].map(|key| is_free("range", key));
+        let [voxel_size, truncation] = ["voxel_size_m", "truncation_m"].map(|key| is_free("map", key));
+        let method = !self.0.contains_key("method");
         let mut config: RunConfig = Value::Table(self.0).try_into().context("the configuration")?;
-        if let Some(min_range_m) = min_range_m.filter(|_| !min_is_set) {
+        if let Some(min_range_m) = data.min_range_m.filter(|_| min_range) {
             config.range.min_range_m = min_range_m;
         }
-        if let Some(sensor) = sensor.filter(|_| !max_is_set) {
+        if let Some(sensor) = data.sensor.as_ref().filter(|_| max_range) {
             config.range.max_range_m = sensor.max_range_m;
+        }
+        if data.camera.is_some() {
+            if method {
+                config.method = DEPTH_CAMERA_METHOD;
+            }
+            if voxel_size {
+                config.map.voxel_size_m = DEPTH_CAMERA_VOXEL_SIZE_M;
+            }
+            if truncation {
+                config.map.truncation_m = DEPTH_CAMERA_TRUNCATION_M.max(4.0 * config.map.voxel_size_m);
+            }
+            if max_range {
+                config.range.max_range_m = DEPTH_CAMERA_MAX_RANGE_M;
+            }
         }
         config.validate()?;
         Ok(config)
@@ -141,7 +191,7 @@ mod tests {
         layers.set_text("map.truncation_m = 1").unwrap();
         layers.set_text("raycast.distance=projective").unwrap();
         layers.set("--voxel-size", "map.voxel_size_m", 0.25).unwrap();
-        let config = layers.resolve(None, None).unwrap();
+        let config = layers.resolve(&Suggested::default()).unwrap();
         assert_eq!(
             (config.map.voxel_size_m, config.map.truncation_m, config.map.max_weight),
             (0.25, 1.0, 7.0)
@@ -153,15 +203,46 @@ mod tests {
     #[test]
     fn ranges_are_the_data_sets_and_the_sensors_unless_they_are_set() {
         let sensor = tsdfuse::sensor::model("vlp16").unwrap();
+        let data = Suggested {
+            sensor: Some(sensor.clone()),
+            min_range_m: Some(2.5),
+            camera: None,
+        };
         let of = |setting: Option<&str>| {
             let mut layers = Layers::default();
             setting.into_iter().for_each(|s| layers.set_text(s).unwrap());
-            let range = layers.resolve(Some(&sensor), Some(2.5)).unwrap().range;
+            let range = layers.resolve(&data).unwrap().range;
             (range.min_range_m, range.max_range_m)
         };
         assert_eq!(of(None), (2.5, sensor.max_range_m));
         assert_eq!(of(Some("range.min_range_m=1")), (1.0, sensor.max_range_m));
         assert_eq!(of(Some("range.max_range_m=30")), (2.5, 30.0));
+    }
+
+    #[test]
+    fn depth_cameras_have_settings_of_their_own_unless_they_are_set() {
+        let data = Suggested {
+            min_range_m: Some(0.1),
+            camera: Some(Pinhole::with_fov(640, 480, 1.0)),
+            ..Default::default()
+        };
+        let of = |settings: &[&str]| {
+            let mut layers = Layers::default();
+            settings.iter().for_each(|s| layers.set_text(s).unwrap());
+            let RunConfig { method, map, range, .. } = layers.resolve(&data).unwrap();
+            let map = (map.voxel_size_m, map.truncation_m);
+            (method, map, (range.min_range_m, range.max_range_m))
+        };
+        assert_eq!(of(&[]), (DEPTH_CAMERA_METHOD, (0.02, 0.08), (0.1, 5.0)));
+        let set = [
+            "method=normals",
+            "map.voxel_size_m=0.05",
+            "range.max_range_m=200",
+            "range.min_range_m=0.5",
+        ];
+        assert_eq!(of(&set), (Method::Normals, (0.05, 0.2), (0.5, 200.0)));
+        assert_eq!(of(&["map.truncation_m=0.05"]).1, (0.02, 0.05));
+        assert_eq!(of(&["map.voxel_size_m=0.01"]).1, (0.01, 0.08));
     }
 
     #[test]
@@ -198,7 +279,7 @@ mod tests {
         let resolved = |setting: &str| {
             let mut layers = Layers::default();
             layers.set_text(setting).unwrap();
-            message(layers.resolve(None, None))
+            message(layers.resolve(&Suggested::default()))
         };
         assert!(resolved("map.voxel_size_m=-1").contains("voxel_size_m"));
         assert!(resolved("range.max_range_m=0.1").contains("max_range_m = 0.1"));

@@ -13,6 +13,7 @@ use tsdfuse_io::{Dataset, OpenOptions, ReadScan};
 
 pub(crate) use args::Args;
 
+use crate::config::Suggested;
 use crate::exit::{Outcome, one_line};
 use crate::mesh::surface;
 use crate::progress::{self, note, say};
@@ -33,12 +34,12 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let dataset = tsdfuse_io::open_with(&args.dataset, &options)?;
     dataset.notes().iter().for_each(note);
     let indices = args.indices(dataset.len())?;
-    let sensor = dataset.sensor();
-    let config = layers.resolve(sensor.as_ref(), dataset.min_range_m())?;
+    let suggested = Suggested::by(&dataset);
+    let config = layers.resolve(&suggested)?;
 
     let mut fusion = Fusion {
         dataset: args.dataset.clone(),
-        integrator: config.method.build(&config.methods(), sensor.as_ref()),
+        integrator: config.method.build(&config.methods(), suggested.sensor.as_ref()),
         map: VoxelMap::new(config.map)?,
         range: config.range,
         scans: Vec::new(),
@@ -60,7 +61,8 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
             path: args.dataset.clone(),
             format: dataset.format(),
             scans: dataset.len(),
-            sensor,
+            sensor: suggested.sensor,
+            camera: suggested.camera,
             notes: dataset.notes().to_vec(),
         },
         config,

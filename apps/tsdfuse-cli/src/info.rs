@@ -9,6 +9,7 @@ use anyhow::{Result, bail};
 use glam::DVec3;
 use serde::Serialize;
 use tsdfuse::scan::{Dropped, RangeLimits};
+use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Scan, SensorModel};
 use tsdfuse_io::{Dataset, ScanRef};
 
@@ -46,6 +47,8 @@ struct Info {
     sensor: Option<SensorModel>,
     /// Whether the sensor's model was guessed from a scan.
     sensor_guessed: bool,
+    /// The camera, where the scans are depth images.
+    camera: Option<Pinhole>,
     /// Median rate of the scans.
     rate_hz: Option<f64>,
     /// From the first scan to the last.
@@ -68,6 +71,8 @@ struct Sample {
     points: Points,
     /// Points that measure nothing, or belong to another sensor of the log.
     invalid: Dropped,
+    /// The shortest and the longest range of a point, metres.
+    range_m: Option<[f32; 2]>,
     /// The corners of the box around all points, world, metres.
     extent_m: Option<[DVec3; 2]>,
     /// How many of the scans have the laser of each point.
@@ -104,6 +109,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         scans: dataset.len(),
         sensor: dataset.sensor(),
         sensor_guessed: false,
+        camera: dataset.camera(),
         rate_hz: rate_hz(dataset.scans()),
         duration_secs: duration_secs(dataset.scans()),
         path_length_m: path_length_m(dataset.scans()),
@@ -132,7 +138,7 @@ impl Info {
         for read in dataset.iter_indices(indices) {
             match read.scan {
                 Ok(scan) => {
-                    if self.sensor.is_none() && self.sample.scans == 0 {
+                    if self.sensor.is_none() && self.camera.is_none() && self.sample.scans == 0 {
                         self.sensor = tsdfuse::sensor::guess(&scan.points, scan.rings.as_deref());
                         self.sensor_guessed = self.sensor.is_some();
                     }
@@ -170,6 +176,10 @@ impl Sample {
             max_range_m: f32::INFINITY,
         });
         self.invalid += scan.dropped;
+        for range in scan.points.iter().map(|p| p.length()) {
+            let [near, far] = self.range_m.unwrap_or([range; 2]);
+            self.range_m = Some([near.min(range), far.max(range)]);
+        }
         for point in points_in_world(&scan) {
             let [low, high] = self.extent_m.unwrap_or([point; 2]);
             self.extent_m = Some([low.min(point), high.max(point)]);

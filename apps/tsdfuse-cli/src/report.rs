@@ -9,6 +9,7 @@ use indicatif::{BinaryBytes, HumanCount};
 use serde::Serialize;
 use tsdfuse::fuse::Skipped;
 use tsdfuse::scan::Dropped;
+use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Mesh, SensorModel, VoxelMap};
 
 use crate::config::RunConfig;
@@ -54,6 +55,8 @@ pub(crate) struct DatasetReport {
     pub(crate) scans: usize,
     /// Its sensor, where it or the user states it.
     pub(crate) sensor: Option<SensorModel>,
+    /// Its camera, where the scans are depth images.
+    pub(crate) camera: Option<Pinhole>,
     /// What is missing or odd.
     pub(crate) notes: Vec<String>,
 }

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Pose, Scan, SensorModel};
 
 use crate::error::{Error, Result};
@@ -44,7 +45,12 @@ pub trait Source: Send + Sync {
     fn sensor(&self) -> Option<SensorModel> {
         None
     }
-    /// Returns nearer than this, metres, are the vehicle that carries the sensor, where that was measured.
+    /// The camera, where the scans are depth images; then there is no [`Source::sensor`].
+    fn camera(&self) -> Option<Pinhole> {
+        None
+    }
+    /// Returns nearer than this, metres, are the vehicle that carries the sensor, where that was measured, or nearer than
+    /// such sensors measure.
     fn min_range_m(&self) -> Option<f32> {
         None
     }
@@ -77,6 +83,10 @@ const FORMATS: &[Format] = &[
     Format {
         recognises: crate::plain::recognises,
         open: |path, options| Ok(Box::new(crate::plain::open(path, options)?)),
+    },
+    Format {
+        recognises: crate::rgbd::recognises,
+        open: |path, options| Ok(Box::new(crate::rgbd::open(path, options)?)),
     },
     Format {
         recognises: crate::clouds::recognises,
@@ -113,7 +123,7 @@ pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Datase
         Error::dataset(
             path,
             "holds no scans that are read here: no lidar/*.pkl.gz (PandaSet), velodyne/*.bin (KITTI, plain), \
-             velodyne_points/ (KITTI raw), *.pcd or *.ply",
+             velodyne_points/ (KITTI raw), *.depth.png (7-Scenes), depth/*.png (TUM RGB-D), *.pcd or *.ply",
         )
     })?;
     let source = (format.open)(path, options)?;
@@ -164,8 +174,13 @@ impl Dataset {
         self.source.sensor()
     }
 
-    /// Returns nearer than this, metres, are the vehicle that carries the sensor, where that is known; they are still in the
-    /// scans.
+    /// The camera, where the scans are depth images.
+    pub fn camera(&self) -> Option<Pinhole> {
+        self.source.camera()
+    }
+
+    /// Returns nearer than this, metres, are no measurements of the scene (the vehicle that carries the sensor), where that
+    /// is known; they are still in the scans.
     pub fn min_range_m(&self) -> Option<f32> {
         self.source.min_range_m()
     }

@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use crate::pickle::DataFrame;
-use crate::{bin, calib, folder, kitti_raw, map_file, pcd, ply, poses, times};
+use crate::rgbd::image::{self, ImageSize};
+use crate::rgbd::{camera, seven_scenes, tum};
+use crate::{bin, calib, folder, kitti_raw, map_file, pandaset, pcd, ply, poses, times};
 
 const PATH: &str = "input";
 
@@ -76,4 +78,34 @@ pub fn kitti(bytes: &[u8]) {
 /// A sensor's model.
 pub fn sensor(bytes: &[u8]) {
     let _ = folder::parse_sensor(Path::new(PATH), bytes);
+}
+
+/// A PNG image, as a depth image and as a mask.
+pub fn depth_image(bytes: &[u8]) {
+    let Ok(size) = ImageSize::read(Path::new(PATH), bytes) else {
+        return;
+    };
+    // What is larger is decoded in the same way, only slowly.
+    if size.width * size.height <= 1 << 16 {
+        let _ = image::depths(Path::new(PATH), bytes, &size);
+        let _ = image::mask(Path::new(PATH), bytes, &size);
+    }
+}
+
+/// The text files beside depth images.
+pub fn rgbd(bytes: &[u8]) {
+    let size = ImageSize {
+        width: 640,
+        height: 480,
+        by: PATH.to_owned(),
+    };
+    let _ = camera::parse(Path::new(PATH), bytes);
+    let _ = camera::parse_matrix(Path::new(PATH), bytes, &size);
+    let _ = seven_scenes::parse_pose(Path::new(PATH), bytes);
+    let _ = tum::parse_list(Path::new(PATH), bytes);
+}
+
+/// The two JSON files of PandaSet.
+pub fn pandaset(bytes: &[u8]) {
+    pandaset::parse_frames(Path::new(PATH), bytes);
 }

@@ -1,4 +1,4 @@
-//! Readers of LiDAR logs and writers of meshes.
+//! Readers of LiDAR logs and depth images, and writers of meshes.
 //!
 //! [`open`] recognises what lies at a path and gives a [`Dataset`]: scans with poses, read ahead in the background.
 //! [`mesh::write`] writes what was made of them.
@@ -28,6 +28,7 @@ pub mod plain;
 pub mod ply;
 pub mod poses;
 pub mod read_ahead;
+pub mod rgbd;
 mod scalar;
 mod text;
 mod times;

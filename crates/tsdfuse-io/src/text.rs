@@ -1,4 +1,4 @@
-//! Tables of numbers as text: one row a line.
+//! Tables of numbers as text, one row a line; and TOML.
 
 use std::path::Path;
 
@@ -23,6 +23,17 @@ pub(crate) fn lines<'a>(path: &'a Path, bytes: &'a [u8]) -> Result<impl Iterator
         text: text.trim(),
     });
     Ok(lines.filter(|line| !line.text.is_empty() && !line.text.starts_with('#')))
+}
+
+/// Parses a TOML file; an error names the line.
+pub(crate) fn toml<T: serde::de::DeserializeOwned>(path: &Path, bytes: &[u8]) -> Result<T> {
+    let text = std::str::from_utf8(bytes).map_err(|e| Error::format(path, format!("is not text: {e}")))?;
+    toml::from_str(text).map_err(|e| {
+        let line = text
+            .get(..e.span().map_or(0, |s| s.start))
+            .map_or(1, |before| before.matches('\n').count() + 1);
+        Error::format(path, format!("line {line}: {}", e.message().replace('\n', " ")))
+    })
 }
 
 impl Line<'_> {

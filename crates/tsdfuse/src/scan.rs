@@ -23,7 +23,7 @@ pub struct Scan {
     pub points: Vec<Vec3>,
     /// The laser of each return, 0 = lowest.
     pub rings: Option<Vec<u16>>,
-    /// When each return was measured: seconds after `pose` (negative: before).
+    /// When each return was measured: seconds after `pose` (negative: before), NaN where that is not known.
     pub times: Option<Vec<f32>>,
     /// Intensity of each return, in the sensor's own unit.
     pub intensities: Option<Vec<f32>>,
@@ -61,12 +61,14 @@ pub struct Dropped {
     pub other_sensor: u64,
     /// Left out by a mask.
     pub masked: u64,
+    /// Its time is missing or not within the scan, so that it cannot be placed.
+    pub untimed: u64,
 }
 
 impl Dropped {
     /// All of them.
     pub fn total(&self) -> u64 {
-        self.not_finite + self.no_return + self.too_near + self.too_far + self.other_sensor + self.masked
+        self.not_finite + self.no_return + self.too_near + self.too_far + self.other_sensor + self.masked + self.untimed
     }
 }
 
@@ -78,6 +80,7 @@ impl std::ops::AddAssign for Dropped {
         self.too_far += other.too_far;
         self.other_sensor += other.other_sensor;
         self.masked += other.masked;
+        self.untimed += other.untimed;
     }
 }
 
@@ -178,11 +181,17 @@ impl Scan {
     pub fn drop_invalid(&mut self, limits: &RangeLimits) {
         let mut dropped = Dropped::default();
         let (near, far) = (limits.min_range_m.powi(2), limits.max_range_m.powi(2));
+        let is_untimed = |i: usize| {
+            let secs = self.times.as_ref().and_then(|times| times.get(i));
+            secs.is_some_and(|secs| !secs.is_finite())
+        };
         let keep: Vec<bool> = self
             .points
             .iter()
-            .map(|p| {
+            .enumerate()
+            .map(|(i, p)| {
                 let counter = match p.length_squared() {
+                    _ if is_untimed(i) => &mut dropped.untimed,
                     _ if !p.is_finite() => &mut dropped.not_finite,
                     0.0 => &mut dropped.no_return,
                     r2 if r2 < near => &mut dropped.too_near,
@@ -281,6 +290,18 @@ mod tests {
         );
         assert_eq!(scan.points.len(), 2);
         assert_eq!(scan.rings, Some(vec![0, 6]));
+    }
+
+    #[test]
+    fn returns_at_no_known_time_are_counted() {
+        let mut scan = Scan {
+            points: vec![Vec3::X, Vec3::Y, Vec3::NAN],
+            times: Some(vec![f32::NAN, 0.0, f32::NAN]),
+            ..Default::default()
+        };
+        scan.drop_invalid(&RangeLimits::default());
+        assert_eq!((scan.dropped.untimed, scan.dropped.total()), (2, 2));
+        assert_eq!((scan.points, scan.times), (vec![Vec3::Y], Some(vec![0.0])));
     }
 
     #[test]

@@ -11,7 +11,7 @@ use tsdfuse::fuse::Method;
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::scan::RangeLimits;
 
-use crate::config::Layers;
+use crate::config::{DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M, Layers};
 use crate::exit::Usage;
 use crate::output;
 use crate::progress::note;
@@ -29,7 +29,7 @@ Settings: defaults < --config < --set < flags. A report holds all of them.";
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES, group(ArgGroup::new("result").args(["output", "save_map"]).required(true).multiple(true)))]
 pub(crate) struct Args {
-    /// The data set; its format (PandaSet, KITTI, a plain folder, ...) is recognised.
+    /// The data set; its format (PandaSet, KITTI, a plain folder, RGB-D, ...) is recognised.
     pub(super) dataset: PathBuf,
     /// The mesh to write, .ply, .glb or .obj; `-` writes PLY to standard output.
     #[arg(short, long, value_name = "FILE")]
@@ -41,10 +41,12 @@ pub(crate) struct Args {
         help = format!("How scans are fused [default: {}]", Method::default().name()))]
     method: Option<String>,
     #[arg(long, value_name = "M",
-        help = format!("Edge of a voxel, metres [default: {}]", MapConfig::default().voxel_size_m))]
+        help = format!("Edge of a voxel, metres [default: {}, or {DEPTH_CAMERA_VOXEL_SIZE_M} for depth cameras]",
+            MapConfig::default().voxel_size_m))]
     voxel_size: Option<f64>,
     #[arg(long, value_name = "M",
-        help = format!("Half width of the band around the surface, metres [default: {}]", MapConfig::default().truncation_m))]
+        help = format!("Half width of the band around the surface, metres [default: {}, or {DEPTH_CAMERA_TRUNCATION_M} for depth cameras]",
+            MapConfig::default().truncation_m))]
     truncation: Option<f64>,
     /// Which scans are fused, counted from 0, the last one excluded; every STEP-th of them [default: all].
     #[arg(long, value_name = "FROM..TO[:STEP]")]
@@ -59,7 +61,8 @@ pub(crate) struct Args {
         help = format!("Nearer returns are left out, metres [default: the data set's, or {}]", RangeLimits::default().min_range_m))]
     min_range: Option<f64>,
     #[arg(long, value_name = "M",
-        help = format!("Farther returns are left out, metres [default: the sensor's, or {}]", RangeLimits::default().max_range_m))]
+        help = format!("Farther returns are left out, metres [default: the sensor's, {DEPTH_CAMERA_MAX_RANGE_M} for depth cameras, or {}]",
+            RangeLimits::default().max_range_m))]
     max_range: Option<f64>,
     /// Threads; their number does not change the result [default: one for each core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]

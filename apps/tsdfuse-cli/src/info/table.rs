@@ -4,6 +4,7 @@ use std::fmt::Display;
 
 use glam::DVec3;
 use indicatif::HumanCount;
+use tsdfuse::sensor::Pinhole;
 
 use super::{Info, Points};
 use crate::report::counted;
@@ -13,7 +14,10 @@ pub(super) fn of(info: &Info) -> String {
     let mut rows = Rows::default();
     let sample = &info.sample;
     rows.add("data set", format!("{} ({})", info.path.display(), info.format));
-    rows.add("sensor", sensor_line(info));
+    match &info.camera {
+        Some(camera) => rows.add("camera", camera_line(camera)),
+        None => rows.add("sensor", sensor_line(info)),
+    }
     rows.add("scans", scans_line(info));
     rows.add("path", format!("{:.1} m", info.path_length_m));
     let read = match sample.scans {
@@ -34,6 +38,9 @@ pub(super) fn of(info: &Info) -> String {
             invalid => invalid.join(", "),
         },
     );
+    if let Some([near, far]) = sample.range_m {
+        rows.add("ranges", format!("{near:.2} to {far:.2} m"));
+    }
     if let Some([low, high]) = sample.extent_m {
         rows.add("extent", extent_line(low, high));
     }
@@ -43,7 +50,8 @@ pub(super) fn of(info: &Info) -> String {
         ("motion", sample.with_motion),
         ("intensities", sample.with_intensities),
     ];
-    for (name, scans) in columns {
+    // Pixels have no such columns.
+    for (name, scans) in columns.into_iter().filter(|_| info.camera.is_none()) {
         let which = match scans {
             0 => "no".to_owned(),
             n if n == sample.scans => "yes".to_owned(),
@@ -55,6 +63,20 @@ pub(super) fn of(info: &Info) -> String {
     let unreadable = sample.unreadable.iter();
     unreadable.for_each(|reason| rows.add("unreadable", reason));
     rows.finish()
+}
+
+fn camera_line(camera: &Pinhole) -> String {
+    let Pinhole {
+        width,
+        height,
+        fx,
+        fy,
+        cx,
+        cy,
+    } = *camera;
+    let across = (camera.ray(-0.5, cy).y.atan() - camera.ray(width as f32 - 0.5, cy).y.atan()).to_degrees();
+    let down = (camera.ray(cx, -0.5).z.atan() - camera.ray(cx, height as f32 - 0.5).z.atan()).to_degrees();
+    format!("{width} x {height} pixels, {across:.1}° x {down:.1}°, fx {fx} fy {fy} cx {cx} cy {cy}")
 }
 
 fn sensor_line(info: &Info) -> String {

@@ -8,5 +8,6 @@ mod help;
 mod info;
 mod map;
 mod ply;
+mod rgbd;
 mod run;
 mod simulate;

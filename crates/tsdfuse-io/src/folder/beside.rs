@@ -54,13 +54,7 @@ pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<Option<Sensor
 /// # Errors
 /// Names the file and what no sensor can have.
 pub(crate) fn parse_sensor(path: &Path, bytes: &[u8]) -> Result<SensorModel> {
-    let text = std::str::from_utf8(bytes).map_err(|e| Error::format(path, format!("is not text: {e}")))?;
-    let model: SensorModel = toml::from_str(text).map_err(|e| {
-        let line = text
-            .get(..e.span().map_or(0, |s| s.start))
-            .map_or(1, |before| before.matches('\n').count() + 1);
-        Error::format(path, format!("line {line}: {}", e.message().replace('\n', " ")))
-    })?;
+    let model: SensorModel = text::toml(path, bytes)?;
     model.check().map_err(|e| Error::format(path, e.to_string()))?;
     Ok(model)
 }

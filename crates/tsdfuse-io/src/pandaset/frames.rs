@@ -8,6 +8,7 @@ use tsdfuse::glam::{DQuat, DVec3};
 use tsdfuse::pose::{Pose, PoseError};
 
 use crate::error::{Error, Result};
+use crate::files;
 
 /// What a `lidar` folder holds. The scan `NN.pkl.gz` belongs to entry NN of `poses.json` and of `timestamps.json`.
 #[derive(Debug)]
@@ -26,9 +27,11 @@ impl Frames {
     /// Lists the folder and reads its two JSON files.
     pub(super) fn open(lidar: &Path) -> Result<Self> {
         let (scans, unnumbered) = scan_files(lidar)?;
-        let poses = read_poses(&lidar.join("poses.json"))?;
+        let path = lidar.join("poses.json");
+        let poses = parse_poses(&path, &files::read(&path)?)?;
         let times = lidar.join("timestamps.json");
-        let times = times.is_file().then(|| read_times(&times, poses.len())).transpose()?;
+        let read = || parse_times(&times, &files::read(&times)?, poses.len());
+        let times = times.is_file().then(read).transpose()?;
         Ok(Self {
             poses,
             times,
@@ -79,7 +82,7 @@ impl Frames {
 /// The names of the scans in a folder by number, and the names of pickles without one.
 pub(super) fn scan_files(lidar: &Path) -> Result<(BTreeMap<usize, String>, Vec<String>)> {
     let (mut scans, mut unnumbered) = (BTreeMap::new(), Vec::new());
-    for name in crate::files::names(lidar)? {
+    for name in files::names(lidar)? {
         let Some(stem) = name.strip_suffix(".pkl.gz").or_else(|| name.strip_suffix(".pkl")) else {
             continue;
         };
@@ -120,8 +123,12 @@ struct Heading {
     z: f64,
 }
 
-fn read_poses(path: &Path) -> Result<Vec<Pose>> {
-    let poses: Vec<VehiclePose> = read_list(path)?;
+/// Parses `poses.json`: `world_from_ego` of each frame. `path` is for messages.
+///
+/// # Errors
+/// Names the file, the frame and the reason.
+pub(super) fn parse_poses(path: &Path, bytes: &[u8]) -> Result<Vec<Pose>> {
+    let poses: Vec<VehiclePose> = parse_list(path, bytes)?;
     let pose = |(
         frame,
         VehiclePose {
@@ -141,8 +148,12 @@ fn read_poses(path: &Path) -> Result<Vec<Pose>> {
     poses.into_iter().enumerate().map(pose).collect()
 }
 
-fn read_times(path: &Path, poses: usize) -> Result<Vec<f64>> {
-    let times: Vec<f64> = read_list(path)?;
+/// Parses `timestamps.json`: ascending seconds, as many as there are poses. `path` is for messages.
+///
+/// # Errors
+/// Names the file, the frame and the reason.
+pub(super) fn parse_times(path: &Path, bytes: &[u8], poses: usize) -> Result<Vec<f64>> {
+    let times: Vec<f64> = parse_list(path, bytes)?;
     if times.len() != poses {
         let reason = format!("{} times, but poses.json has {poses} poses", times.len());
         return Err(Error::format(path, reason));
@@ -163,10 +174,9 @@ fn read_times(path: &Path, poses: usize) -> Result<Vec<f64>> {
     }
 }
 
-/// Reads a JSON list with one entry a frame, so that an error can name the frame.
-fn read_list<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
-    let text = std::fs::read(path).map_err(Error::io(path))?;
-    let mut json = serde_json::Deserializer::from_slice(&text);
+/// Parses a JSON list with one entry a frame, so that an error can name the frame.
+fn parse_list<T: DeserializeOwned>(path: &Path, bytes: &[u8]) -> Result<Vec<T>> {
+    let mut json = serde_json::Deserializer::from_slice(bytes);
     let mut entries = Vec::new();
     let read = List(&mut entries).deserialize(&mut json);
     read.map_err(|e| Error::format(path, format!("frame {}: {e}", entries.len())))?;

@@ -42,6 +42,12 @@ pub struct PandaSet {
     notes: Vec<String>,
 }
 
+/// Both JSON files, for fuzzing.
+pub(crate) fn parse_frames(path: &Path, bytes: &[u8]) {
+    let _ = frames::parse_poses(path, bytes);
+    let _ = frames::parse_times(path, bytes, 1);
+}
+
 /// Where the sensor was during a sweep, by the poses of the data set, in whose world its points are stored.
 #[derive(Clone, Copy, Debug)]
 struct Sweep {

@@ -85,7 +85,7 @@ impl Returns {
             }
         };
         scan.points = mine.iter().zip(&times).map(place).collect();
-        scan.times = Some(times.into_iter().map(Option::unwrap_or_default).collect());
+        scan.times = Some(times.into_iter().map(|time| time.unwrap_or(f32::NAN)).collect());
         scan.motion = Some(motion);
         Ok(scan)
     }
