@@ -76,14 +76,13 @@ impl Suggested {
     }
 }
 
-/// The usual settings for depth cameras, which look at rooms: their noise grows with the square of the range (a Kinect's is
-/// 2 cm at 3 m, 6 cm at 5 m).
-const DEPTH_CAMERA_METHOD: Method = Method::Raycast;
+/// The method for depth cameras; like what follows, for rooms and cameras as a Kinect is.
+const DEPTH_CAMERA_METHOD: Method = Method::Depth;
 /// Edge of a voxel, metres.
 pub(crate) const DEPTH_CAMERA_VOXEL_SIZE_M: f64 = 0.02;
 /// Half width of the band, metres; wider only where voxels are set that are larger than a quarter of it.
 pub(crate) const DEPTH_CAMERA_TRUNCATION_M: f64 = 0.08;
-/// The longest range, metres.
+/// The longest range, metres: noise grows with the square of the range, and a Kinect's is 4 cm there.
 pub(crate) const DEPTH_CAMERA_MAX_RANGE_M: f32 = 5.0;
 
 /// Settings, those set later going before those set earlier.
@@ -233,7 +232,7 @@ mod tests {
             let map = (map.voxel_size_m, map.truncation_m);
             (method, map, (range.min_range_m, range.max_range_m))
         };
-        assert_eq!(of(&[]), (DEPTH_CAMERA_METHOD, (0.02, 0.08), (0.1, 5.0)));
+        assert_eq!(of(&[]), (Method::Depth, (0.02, 0.08), (0.1, 5.0)));
         let set = [
             "method=normals",
             "map.voxel_size_m=0.05",

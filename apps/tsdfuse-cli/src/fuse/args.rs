@@ -38,7 +38,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     pub(super) save_map: Option<PathBuf>,
     #[arg(long, value_parser = PossibleValuesParser::new(Method::ALL.iter().map(|m| m.name())),
-        help = format!("How scans are fused [default: {}]", Method::default().name()))]
+        help = format!("How scans are fused [default: {}, or depth for depth cameras]", Method::default().name()))]
     method: Option<String>,
     #[arg(long, value_name = "M",
         help = format!("Edge of a voxel, metres [default: {}, or {DEPTH_CAMERA_VOXEL_SIZE_M} for depth cameras]",

@@ -47,6 +47,7 @@ fn depth_images_fuse_with_only_a_path() {
         ),
         (&0.02.into(), &0.08.into())
     );
+    assert_eq!(report["config"]["method"], "depth");
     let range = &report["config"]["range"];
     assert_eq!(range["max_range_m"], 5.0);
     assert!((range["min_range_m"].as_f64().unwrap() - 0.1).abs() < 1e-6);
@@ -61,7 +62,7 @@ fn depth_images_fuse_with_only_a_path() {
         "--voxel-size",
         "0.05",
         "--max-range",
-        "7",
+        "8",
         "--min-range",
         "0.3",
         "--method",
@@ -79,7 +80,7 @@ fn depth_images_fuse_with_only_a_path() {
     );
     assert_eq!(
         (&report["config"]["method"], &report["config"]["range"]["max_range_m"]),
-        (&"raycast".into(), &7.0.into())
+        (&"raycast".into(), &8.0.into())
     );
     assert_eq!(report["totals"]["dropped"]["too_far"], 0);
 }
