@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
+use crate::pandaset::frames;
 use crate::pickle::DataFrame;
 use crate::rgbd::image::{self, ImageSize};
 use crate::rgbd::{camera, seven_scenes, tum};
-use crate::{bin, calib, folder, kitti_raw, map_file, pandaset, pcd, ply, poses, times};
+use crate::{bin, calib, folder, kitti_raw, map_file, pcd, ply, poses, times};
 
 const PATH: &str = "input";
 
@@ -107,5 +108,6 @@ pub fn rgbd(bytes: &[u8]) {
 
 /// The two JSON files of PandaSet.
 pub fn pandaset(bytes: &[u8]) {
-    pandaset::parse_frames(Path::new(PATH), bytes);
+    let _ = frames::parse_poses(Path::new(PATH), bytes);
+    let _ = frames::parse_times(Path::new(PATH), bytes, 3);
 }

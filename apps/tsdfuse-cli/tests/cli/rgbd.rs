@@ -23,7 +23,7 @@ fn wall(folder: &Folder) -> String {
     fs::create_dir(&set).unwrap();
     for (frame, units) in [2000, 2000, 6000].into_iter().enumerate() {
         let put = |ending: &str, content: &[u8]| {
-            fs::write(set.join(format!("frame-00000{frame}.{ending}")), content).unwrap()
+            fs::write(set.join(format!("frame-00000{frame}.{ending}")), content).unwrap();
         };
         put("depth.png", &depth_image(160, 120, units));
         put("pose.txt", b"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");

@@ -127,7 +127,7 @@ struct Heading {
 ///
 /// # Errors
 /// Names the file, the frame and the reason.
-pub(super) fn parse_poses(path: &Path, bytes: &[u8]) -> Result<Vec<Pose>> {
+pub(crate) fn parse_poses(path: &Path, bytes: &[u8]) -> Result<Vec<Pose>> {
     let poses: Vec<VehiclePose> = parse_list(path, bytes)?;
     let pose = |(
         frame,
@@ -152,7 +152,7 @@ pub(super) fn parse_poses(path: &Path, bytes: &[u8]) -> Result<Vec<Pose>> {
 ///
 /// # Errors
 /// Names the file, the frame and the reason.
-pub(super) fn parse_times(path: &Path, bytes: &[u8], poses: usize) -> Result<Vec<f64>> {
+pub(crate) fn parse_times(path: &Path, bytes: &[u8], poses: usize) -> Result<Vec<f64>> {
     let times: Vec<f64> = parse_list(path, bytes)?;
     if times.len() != poses {
         let reason = format!("{} times, but poses.json has {poses} poses", times.len());

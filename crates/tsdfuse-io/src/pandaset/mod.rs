@@ -12,7 +12,7 @@
 //! - Both sensors share a file: `d` is 0 for the Pandar64, 1 for the PandarGT.
 
 mod calibration;
-mod frames;
+pub(crate) mod frames;
 mod motion;
 mod returns;
 #[cfg(test)]
@@ -40,12 +40,6 @@ pub struct PandaSet {
     scans: Vec<ScanRef>,
     sweeps: Vec<Sweep>,
     notes: Vec<String>,
-}
-
-/// Both JSON files, for fuzzing.
-pub(crate) fn parse_frames(path: &Path, bytes: &[u8]) {
-    let _ = frames::parse_poses(path, bytes);
-    let _ = frames::parse_times(path, bytes, 1);
 }
 
 /// Where the sensor was during a sweep, by the poses of the data set, in whose world its points are stored.
