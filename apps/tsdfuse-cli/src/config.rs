@@ -10,6 +10,7 @@ use tsdfuse::mesh::MeshConfig;
 use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::sensor::Pinhole;
+use tsdfuse::surfel::SurfelConfig;
 use tsdfuse::{MapConfig, SensorModel};
 use tsdfuse_io::Dataset;
 
@@ -30,6 +31,8 @@ pub(crate) struct RunConfig {
     pub(crate) raycast: RaycastConfig,
     /// Options of the method `normals`.
     pub(crate) normals: NormalsConfig,
+    /// Options of the method `surfel`.
+    pub(crate) surfel: SurfelConfig,
     /// Options of the method `caminal`.
     pub(crate) caminal: CaminalConfig,
     /// What becomes surface.
@@ -42,6 +45,7 @@ impl RunConfig {
         FuseConfig {
             raycast: self.raycast,
             normals: self.normals,
+            surfel: self.surfel,
             caminal: self.caminal,
         }
     }

@@ -19,7 +19,7 @@
 //! ```
 //!
 //! The types to know: [`Scan`] (with [`Pose`] and [`scan::Motion`], by which movement during the sweep is undone),
-//! [`VoxelMap`], the trait [`Integrator`] with one type per method ([`Raycast`], [`Normals`]; by name: [`fuse::Method`]),
+//! [`VoxelMap`], the trait [`Integrator`] with one type per method ([`Raycast`], [`Normals`], [`Surfels`]; by name: [`fuse::Method`]),
 //! [`Mesh`], and [`SensorModel`] for what a rotating LiDAR's beams look like.
 //!
 //! The crate reads no files; `tsdfuse-io` does. The work is spread over the threads of the current rayon pool, and the
@@ -34,8 +34,9 @@ pub mod normals;
 pub mod pose;
 pub mod scan;
 pub mod sensor;
+pub mod surfel;
 
-pub use fuse::{Integration, Integrator, Normals, Raycast};
+pub use fuse::{Integration, Integrator, Normals, Raycast, Surfels};
 pub use glam;
 pub use map::{MapConfig, VoxelMap};
 pub use mesh::Mesh;

@@ -167,22 +167,12 @@ impl Voxel {
         }
     }
 
-    /// Adds the sums of many updates at once; what is too much for the voxel is averaged as by [`Voxel::limit`].
-    pub(crate) fn add_sums(&mut self, weights: i64, distances: i64, limit: u32) {
-        let weight = i64::from(self.weight_sum) + weights;
-        let distance = i64::from(self.distance_sum) + distances;
-        let limit = i64::from(limit);
-        *self = match weight > limit {
-            // |distance| ≤ weight < 2⁴⁰ and limit ≤ 2³⁰: the product fits.
-            true => Self {
-                weight_sum: limit as u32,
-                distance_sum: (i128::from(distance) * i128::from(limit) / i128::from(weight)) as i32,
-            },
-            false => Self {
-                weight_sum: weight as u32,
-                distance_sum: distance as i32,
-            },
-        };
+    /// Adds the sums of many updates at once, |distance| ≤ weight ≤ 2²⁹. Neither sum can overflow if the voxel is brought back
+    /// below its limit at once ([`Shard::limit_weights`]).
+    #[inline]
+    pub(crate) fn add_sums(&mut self, weight: i32, distance: i32) {
+        self.weight_sum += weight as u32;
+        self.distance_sum += distance;
     }
 
     /// Whether observations can sum up to this.

@@ -17,7 +17,7 @@ use super::{
     scatter::{Counts, Skip},
 };
 use crate::{
-    index::{BLOCK_VOXELS, BlockIndex},
+    index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex},
     map::{SHARDS, Shard, VoxelMap, fixed, shard_of},
 };
 
@@ -74,9 +74,12 @@ impl Near {
 /// The updates of one block in one scan.
 #[derive(Debug)]
 pub(crate) struct Updates {
-    weights: [i64; BLOCK_VOXELS],
-    distances: [i64; BLOCK_VOXELS],
+    weights: [i32; BLOCK_VOXELS],
+    distances: [i32; BLOCK_VOXELS],
 }
+
+/// A block's updates are added up for so many names at a time, so that the sums, at most 2¹⁵ a name, stay far below 2³¹.
+const NAMES: usize = 1 << 14;
 
 impl Updates {
     /// Adds an update to the voxel with number `local`: distance over μ (clamped to ±1) and weight (clamped to 0..=1; too
@@ -85,8 +88,23 @@ impl Updates {
     pub(crate) fn add(&mut self, local: usize, distance: f32, weight: f32) {
         let (weight, distance) = fixed(distance, weight);
         if weight > 0 {
-            self.weights[local] += i64::from(weight);
-            self.distances[local] += i64::from(distance);
+            self.weights[local] += weight;
+            self.distances[local] += distance;
+        }
+    }
+
+    /// Adds an update to each of the eight voxels of a row, `row` = y + 8 z, or none where the weight is 0. `update` gets the
+    /// voxel's x, 0…7, and returns distance and weight as for [`Updates::add`].
+    #[inline(always)]
+    pub(crate) fn add_row(&mut self, row: usize, update: impl Fn(f32) -> (f32, f32)) {
+        const EDGE: usize = BLOCK_EDGE as usize;
+        let voxels = EDGE * row..EDGE * (row + 1);
+        let sums = self.weights[voxels.clone()].iter_mut().zip(&mut self.distances[voxels]);
+        for (x, (weights, distances)) in sums.enumerate() {
+            let (distance, weight) = update(x as f32);
+            let (weight, distance) = fixed(distance, weight);
+            *weights += weight;
+            *distances += distance;
         }
     }
 
@@ -103,8 +121,8 @@ impl Gather {
     /// Lets each of `items` items name the blocks it may touch, then updates those blocks, and the blocks of the map that
     /// are `visible` although no item named them.
     ///
-    /// `update` is called once per block, with what named it, sorted by tag, on any thread. Blocks are made only if they
-    /// get an update.
+    /// `update` is called once per block, with what named it, sorted by tag, on any thread (and again for each further 2¹⁴
+    /// names). It updates a voxel once for each name at most. Blocks are made only if they get an update.
     pub(crate) fn run(
         &mut self,
         map: &mut VoxelMap,
@@ -165,16 +183,19 @@ fn update_shard(
         if shard.touch(slot, stamp) {
             touched.push(block);
         }
+        let mut over = false;
         let sums = updates.weights.iter().zip(&updates.distances);
         for (voxel, (&weight, &distance)) in shard.blocks_mut()[slot as usize].voxels.iter_mut().zip(sums) {
-            if weight > 0 {
-                voxel.add_sums(weight, distance, limit);
-            }
+            voxel.add_sums(weight, distance);
+            over |= voxel.weight_sum > limit;
+        }
+        if over {
+            shard.limit_weights(slot, limit);
         }
     };
     let seen: Vec<BlockIndex> = shard.indices().iter().copied().filter(|&b| visible(b)).collect();
     for items in named.chunk_by(|a, b| a.0 == b.0) {
-        visit(shard, items[0].0, items);
+        items.chunks(NAMES).for_each(|items| visit(shard, items[0].0, items));
     }
     for block in seen {
         if named.binary_search_by_key(&block, |n| n.0).is_err() {

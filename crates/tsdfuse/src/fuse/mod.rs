@@ -17,6 +17,7 @@ mod pierced;
 mod placed;
 mod raycast;
 mod scatter;
+mod surfel;
 
 use serde::{Deserialize, Serialize};
 
@@ -26,9 +27,11 @@ pub use depth::Depth;
 pub use kuehner::Kuehner;
 pub use normals::Normals;
 pub use raycast::{Distance, Raycast, RaycastConfig};
+pub use surfel::Surfels;
 
 use crate::{
     index::BlockIndex, map::VoxelMap, normals::NormalsConfig, scan::Scan, scan::ScanError, sensor::SensorModel,
+    surfel::SurfelConfig,
 };
 
 /// The methods, by name.
@@ -40,6 +43,8 @@ pub enum Method {
     Raycast,
     /// [`Normals`].
     Normals,
+    /// [`Surfels`].
+    Surfel,
     /// [`Cylindrical`].
     Cylindrical,
     /// [`Kuehner`].
@@ -58,6 +63,8 @@ pub struct FuseConfig {
     pub raycast: RaycastConfig,
     /// Options of [`Normals`].
     pub normals: NormalsConfig,
+    /// Options of [`Surfels`].
+    pub surfel: SurfelConfig,
     /// Options of [`Caminal`].
     pub caminal: CaminalConfig,
 }
@@ -69,6 +76,7 @@ impl FuseConfig {
     /// [`FuseError::Config`] names the option and what is possible.
     pub fn validate(&self) -> Result<(), FuseError> {
         self.normals.validate().map_err(|e| FuseError::Config(e.to_string()))?;
+        self.surfel.validate().map_err(|e| FuseError::Config(e.to_string()))?;
         self.caminal.validate()
     }
 }
@@ -78,6 +86,7 @@ impl Method {
     pub const ALL: &[Self] = &[
         Self::Raycast,
         Self::Normals,
+        Self::Surfel,
         Self::Cylindrical,
         Self::Kuehner,
         Self::Depth,
@@ -89,6 +98,7 @@ impl Method {
         match self {
             Self::Raycast => "raycast",
             Self::Normals => "normals",
+            Self::Surfel => "surfel",
             Self::Cylindrical => "cylindrical",
             Self::Kuehner => "kuehner",
             Self::Depth => "depth",
@@ -102,6 +112,7 @@ impl Method {
         match self {
             Self::Raycast => Box::new(Raycast::new(config.raycast)),
             Self::Normals => Box::new(Normals::new(config.normals, sensor.cloned())),
+            Self::Surfel => Box::new(Surfels::new(config.surfel, sensor)),
             Self::Cylindrical => Box::new(Cylindrical::new(sensor.cloned())),
             Self::Kuehner => Box::new(Kuehner::new(sensor.cloned())),
             Self::Depth => Box::<Depth>::default(),
