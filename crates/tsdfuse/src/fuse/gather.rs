@@ -10,6 +10,8 @@
 //! worked out where it lies, and a block is written once. The same bits on any number of threads: sums are integers, and the
 //! tags of a block come in order.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::{
@@ -18,7 +20,7 @@ use super::{
 };
 use crate::{
     index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex},
-    map::{SHARDS, Shard, VoxelMap, fixed, shard_of},
+    map::{Block, SHARDS, Shard, VoxelMap, fixed, shard_of},
 };
 
 /// Pieces of a scan: enough to balance the load of many threads.
@@ -71,34 +73,44 @@ impl Near {
     }
 }
 
+/// Voxels in a row of a block.
+const ROW: usize = BLOCK_EDGE as usize;
+
 /// The updates of one block in one scan.
 #[derive(Debug)]
 pub(crate) struct Updates {
     weights: [i32; BLOCK_VOXELS],
     distances: [i32; BLOCK_VOXELS],
+    /// A bit for each row, y + 8 z, whose sums may not be 0.
+    rows: u64,
 }
 
 /// A block's updates are added up for so many names at a time, so that the sums, at most 2¹⁵ a name, stay far below 2³¹.
 const NAMES: usize = 1 << 14;
 
 impl Updates {
+    const NONE: Self = Self {
+        weights: [0; BLOCK_VOXELS],
+        distances: [0; BLOCK_VOXELS],
+        rows: 0,
+    };
+
     /// Adds an update to the voxel with number `local`: distance over μ (clamped to ±1) and weight (clamped to 0..=1; too
     /// little is no update).
     #[inline(always)]
     pub(crate) fn add(&mut self, local: usize, distance: f32, weight: f32) {
         let (weight, distance) = fixed(distance, weight);
-        if weight > 0 {
-            self.weights[local] += weight;
-            self.distances[local] += distance;
-        }
+        self.rows |= 1 << (local / ROW);
+        self.weights[local] += weight;
+        self.distances[local] += distance;
     }
 
     /// Adds an update to each of the eight voxels of a row, `row` = y + 8 z, or none where the weight is 0. `update` gets the
     /// voxel's x, 0…7, and returns distance and weight as for [`Updates::add`].
     #[inline(always)]
     pub(crate) fn add_row(&mut self, row: usize, update: impl Fn(f32) -> (f32, f32)) {
-        const EDGE: usize = BLOCK_EDGE as usize;
-        let voxels = EDGE * row..EDGE * (row + 1);
+        self.rows |= 1 << row;
+        let voxels = ROW * row..ROW * (row + 1);
         let sums = self.weights[voxels.clone()].iter_mut().zip(&mut self.distances[voxels]);
         for (x, (weights, distances)) in sums.enumerate() {
             let (distance, weight) = update(x as f32);
@@ -108,12 +120,39 @@ impl Updates {
         }
     }
 
+    /// The voxels of the rows that may have sums, by rows.
+    fn row_ranges(&self) -> impl Iterator<Item = Range<usize>> + use<> {
+        let mut left = self.rows;
+        std::iter::from_fn(move || {
+            let row = left.trailing_zeros() as usize;
+            left &= left.wrapping_sub(1);
+            (row < 64).then(|| ROW * row..ROW * (row + 1))
+        })
+    }
+
     fn clear(&mut self) {
-        (self.weights, self.distances) = ([0; BLOCK_VOXELS], [0; BLOCK_VOXELS]);
+        for row in self.row_ranges() {
+            self.weights[row.clone()].fill(0);
+            self.distances[row].fill(0);
+        }
+        self.rows = 0;
     }
 
     fn is_empty(&self) -> bool {
-        self.weights.iter().all(|&w| w == 0)
+        self.row_ranges().all(|row| self.weights[row].iter().all(|&w| w == 0))
+    }
+
+    /// Adds the sums to a block; whether a voxel's weight is now beyond `limit`.
+    fn add_to(&self, block: &mut Block, limit: u32) -> bool {
+        let mut over = false;
+        for row in self.row_ranges() {
+            let sums = self.weights[row.clone()].iter().zip(&self.distances[row.clone()]);
+            for (voxel, (&weight, &distance)) in block.voxels[row].iter_mut().zip(sums) {
+                voxel.add_sums(weight, distance);
+                over |= voxel.weight_sum > limit;
+            }
+        }
+        over
     }
 }
 
@@ -169,10 +208,7 @@ fn update_shard(
     (stamp, limit): (u32, u32),
 ) -> Vec<BlockIndex> {
     let mut touched = Vec::new();
-    let mut updates = Updates {
-        weights: [0; BLOCK_VOXELS],
-        distances: [0; BLOCK_VOXELS],
-    };
+    let mut updates = Updates::NONE;
     let mut visit = |shard: &mut Shard, block: BlockIndex, items: &[Named]| {
         updates.clear();
         update(block, items, &mut updates);
@@ -183,13 +219,7 @@ fn update_shard(
         if shard.touch(slot, stamp) {
             touched.push(block);
         }
-        let mut over = false;
-        let sums = updates.weights.iter().zip(&updates.distances);
-        for (voxel, (&weight, &distance)) in shard.blocks_mut()[slot as usize].voxels.iter_mut().zip(sums) {
-            voxel.add_sums(weight, distance);
-            over |= voxel.weight_sum > limit;
-        }
-        if over {
+        if updates.add_to(&mut shard.blocks_mut()[slot as usize], limit) {
             shard.limit_weights(slot, limit);
         }
     };

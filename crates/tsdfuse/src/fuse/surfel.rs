@@ -166,10 +166,7 @@ impl Disc {
         let home = BlockIndex::of(self.center.voxel);
         let center = -self.offset(home.first_voxel() + 4) + 0.5; // of the disc, from the middle of its block, voxels
         let normal = self.normal;
-        let across = (Vec3::ONE - normal * normal).max(Vec3::ZERO);
-        let half_box = normal.abs() * half_height
-            + Vec3::new(across.x.sqrt(), across.y.sqrt(), across.z.sqrt()) * self.radius
-            + (3.5 + SLACK);
+        let half_box = self.half_box(half_height) + (3.5 + SLACK);
         let (low, high) = ((center - half_box) / edge, (center + half_box) / edge);
         // A block's middle is at most this far from the plane, and from the line.
         let thick = half_height + 3.5 * (normal.abs().element_sum()) + SLACK;
@@ -194,30 +191,47 @@ impl Disc {
         }
     }
 
-    /// Updates the voxels of one block that lie in the cylinder.
+    /// Updates the voxels of one block that lie in the cylinder: row by row along x, of which those that it may reach into are
+    /// tested voxel by voxel.
     fn update(&self, block: BlockIndex, half_height: f32, updates: &mut Updates) {
         let first = self.offset(block.first_voxel());
         let n = self.normal;
-        let radius2 = self.radius * self.radius;
         let inverse = 1.0 / half_height;
-        let (low, high) = ((n.x * 7.0).min(0.0), (n.x * 7.0).max(0.0));
-        for row in 0..64 {
-            let y = first.y + (row & 7) as f32;
-            let z = first.z + (row >> 3) as f32;
-            let along0 = first.x * n.x + y * n.y + z * n.z;
-            if along0 + high < -half_height - SLACK || along0 + low > half_height + SLACK {
-                continue;
+        let radius2 = self.radius * self.radius;
+        // A row's middle is at most this far from the plane.
+        let thick = half_height + 3.5 * n.x.abs() + SLACK;
+        // A line along x, off by (y, z), comes as near to the axis as √(y² + z² − (y·n_y + z·n_z)²/(1 − n_x²)).
+        let radius2_slack = (self.radius + SLACK) * (self.radius + SLACK);
+        let share = 1.0 / (1.0 - n.x * n.x).max(SLACK * SLACK);
+        let reach = self.half_box(half_height) + SLACK;
+        let rows = |first: f32, reach: f32| {
+            let (low, high) = (round(-reach - first + 0.5), round(reach - first - 0.5));
+            low.max(0)..(high + 1).min(BLOCK_EDGE)
+        };
+        for k in rows(first.z, reach.z) {
+            for j in rows(first.y, reach.y) {
+                let (y, z) = (first.y + j as f32, first.z + k as f32);
+                let across = y * n.y + z * n.z;
+                let base2 = y * y + z * z;
+                if ((first.x + 3.5) * n.x + across).abs() > thick || base2 - across * across * share > radius2_slack {
+                    continue;
+                }
+                updates.add_row((j + BLOCK_EDGE * k) as usize, |x| {
+                    let dx = first.x + x;
+                    let along = dx * n.x + across;
+                    let distance2 = dx * dx + base2;
+                    let inside = (distance2 - along * along <= radius2) & (along.abs() <= half_height); // (5.21)(5.22)
+                    let weight = self.weight / (1.0 + distance2.sqrt() * inverse); // (5.25)(5.27)
+                    (along * inverse, if inside { weight } else { 0.0 }) // (5.24)
+                });
             }
-            let base2 = y * y + z * z;
-            let across = y * n.y + z * n.z;
-            updates.add_row(row, |x| {
-                let dx = first.x + x;
-                let along = dx * n.x + across;
-                let distance2 = dx * dx + base2;
-                let inside = (distance2 - along * along <= radius2) & (along.abs() <= half_height); // (5.21)(5.22)
-                let weight = self.weight / (1.0 + distance2.sqrt() * inverse); // (5.25)(5.27)
-                (along * inverse, if inside { weight } else { 0.0 }) // (5.24)
-            });
         }
+    }
+
+    /// Half the edges of the cylinder's bounding box.
+    fn half_box(&self, half_height: f32) -> Vec3 {
+        let across = (Vec3::ONE - self.normal * self.normal).max(Vec3::ZERO);
+        let across = Vec3::new(across.x.sqrt(), across.y.sqrt(), across.z.sqrt());
+        self.normal.abs() * half_height + across * self.radius
     }
 }
