@@ -23,9 +23,9 @@ use cells::Cell;
 
 /// How a scan becomes surfels.
 ///
-/// The defaults are those of multi-resolution surfel maps for rotating LiDARs: cells of 0.25 m within 8 m, so that at every
-/// distance a cell is seen under 0.9° to 1.8°, a few scan lines and firings. Two standard deviations of a cell evenly covered
-/// make a disc of the cell's area, so that the discs of neighbouring cells meet.
+/// The defaults are those of a multi-resolution surfel map for a rotating LiDAR: cells of 0.25 m up to 16 m, doubling to 4 m
+/// beyond 128 m, so that far from the sensor a cell is seen under 0.9° to 1.8°: a few scan lines and firings. Two standard
+/// deviations of a cell evenly covered make a disc of the cell's area, so that the discs of neighbouring cells meet.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SurfelConfig {
@@ -48,8 +48,8 @@ impl Default for SurfelConfig {
     fn default() -> Self {
         Self {
             finest_cell_m: 0.25,
-            finest_range_m: 8.0,
-            levels: 6,
+            finest_range_m: 16.0,
+            levels: 5,
             min_points: 5,
             radius_sigmas: 2.0,
             ground_flip: false,
