@@ -85,8 +85,9 @@ pub(crate) struct Updates {
     rows: u64,
 }
 
-/// A block's updates are added up for so many names at a time, so that the sums, at most 2¹⁵ a name, stay far below 2³¹.
-const NAMES: usize = 1 << 14;
+/// A block's updates are added up for so many names at a time: the sums, of at most 2⁶ updates a name and 2¹⁵ an update, are
+/// at most 2²⁹.
+const NAMES: usize = 1 << 8;
 
 impl Updates {
     const NONE: Self = Self {
@@ -160,8 +161,8 @@ impl Gather {
     /// Lets each of `items` items name the blocks it may touch, then updates those blocks, and the blocks of the map that
     /// are `visible` although no item named them.
     ///
-    /// `update` is called once per block, with what named it, sorted by tag, on any thread (and again for each further 2¹⁴
-    /// names). It updates a voxel once for each name at most. Blocks are made only if they get an update.
+    /// `update` is called once per block, with what named it, sorted by tag, on any thread (and again for each further 256
+    /// names). It updates a voxel at most 64 times for each name. Blocks are made only if they get an update.
     pub(crate) fn run(
         &mut self,
         map: &mut VoxelMap,
@@ -233,4 +234,74 @@ fn update_shard(
         }
     }
     touched
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::map::{MapConfig, WEIGHT_SCALE};
+    use glam::IVec3;
+
+    /// A map after 1000 items updated two blocks; the second one with nothing.
+    fn gathered(max_weight: f32, by_row: bool) -> (VoxelMap, Integration) {
+        let mut map = VoxelMap::new(MapConfig {
+            max_weight,
+            ..Default::default()
+        })
+        .unwrap();
+        let [full, empty] = [0, 1].map(|x| BlockIndex(IVec3::new(x, -2, 3)));
+        let done = Gather::default().run(
+            &mut map,
+            1000,
+            |i, near| {
+                near.block(full, i as u32);
+                near.block(empty, i as u32);
+                Ok(())
+            },
+            |_| false,
+            |block, names, updates| {
+                for &(_, tag) in names {
+                    let weight = if block == full { tag as f32 / 1000.0 } else { 0.0 };
+                    let update = |x: f32| (x / 4.0 - 1.0, weight);
+                    match by_row {
+                        true => updates.add_row(5, update),
+                        false => (0..8).for_each(|x| {
+                            let (distance, weight) = update(x as f32);
+                            updates.add(40 + x, distance, weight);
+                        }),
+                    }
+                }
+            },
+        );
+        (map, done)
+    }
+
+    #[test]
+    fn sums_are_exact_however_many_names_a_block_has() {
+        let (map, done) = gathered(1e4, true);
+        let block = BlockIndex(IVec3::new(0, -2, 3));
+        assert_eq!((done.updated_blocks, map.block_count()), (vec![block], 1));
+        for (local, voxel) in map.block(block).unwrap().voxels.iter().enumerate() {
+            let (mut weights, mut distances) = (0, 0);
+            if (40..48).contains(&local) {
+                for tag in 0..1000 {
+                    let (weight, distance) = fixed((local - 40) as f32 / 4.0 - 1.0, tag as f32 / 1000.0);
+                    (weights, distances) = (weights + weight as u32, distances + distance);
+                }
+                assert!(weights > 499 * WEIGHT_SCALE);
+            }
+            assert_eq!((voxel.weight_sum, voxel.distance_sum), (weights, distances));
+        }
+        assert!(map == gathered(1e4, false).0);
+    }
+
+    #[test]
+    fn the_weight_is_limited_and_the_distance_kept() {
+        let (map, _) = gathered(100.0, true);
+        let block = map.block(BlockIndex(IVec3::new(0, -2, 3))).unwrap();
+        for (x, voxel) in block.voxels[40..48].iter().enumerate() {
+            assert_eq!(voxel.weight(), 100.0);
+            assert!((voxel.distance().unwrap() - (x as f32 / 4.0 - 1.0)).abs() < 1e-4);
+        }
+    }
 }

@@ -53,7 +53,7 @@ impl Surfels {
         let mut skipped = Skipped {
             outside_grid: self.surfels.outside(),
             without_normal: self.surfels.too_few(),
-            without_weight: 0,
+            ..Default::default()
         };
         self.discs.clear();
         for surfel in self.surfels.surfels() {

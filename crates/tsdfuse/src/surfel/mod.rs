@@ -25,7 +25,8 @@ use cells::Cell;
 ///
 /// The defaults are those of a multi-resolution surfel map for a rotating LiDAR: cells of 0.25 m up to 16 m, doubling to 4 m
 /// beyond 128 m, so that far from the sensor a cell is seen under 0.9° to 1.8°: a few scan lines and firings. Two standard
-/// deviations of a cell evenly covered make a disc of the cell's area, so that the discs of neighbouring cells meet.
+/// deviations of a cell evenly covered would make a disc of the cell's area; one and a half cover nearly as much of the
+/// surface, and stick out less where it ends.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SurfelConfig {
@@ -51,7 +52,7 @@ impl Default for SurfelConfig {
             finest_range_m: 16.0,
             levels: 5,
             min_points: 5,
-            radius_sigmas: 2.0,
+            radius_sigmas: 1.5,
             ground_flip: false,
         }
     }
