@@ -66,15 +66,6 @@ impl Parts {
     }
 }
 
-/// The eigenvalues of a symmetric matrix alone, ascending; exact to about 1e-8 of the largest where two are nearly equal.
-#[cfg(test)]
-fn eigenvalues(m: &DMat3) -> [f64; 3] {
-    let multiple_of_identity = [m.x_axis.x; 3];
-    Parts::of(m).map_or(multiple_of_identity, |parts| {
-        parts.roots().map(|root| parts.value(root))
-    })
-}
-
 /// Eigenvalues and eigenvectors of a symmetric matrix of finite numbers.
 pub(crate) fn eigen(m: &DMat3) -> Eigen {
     let Some(parts) = Parts::of(m) else {
@@ -148,9 +139,9 @@ mod tests {
             let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
             let t = 1.0_f64.copysign(theta) / (theta.abs() + theta.hypot(1.0));
             let (c, s) = (1.0 / t.hypot(1.0), t / t.hypot(1.0));
-            for row in 0..3 {
-                let (x, y) = (a[row][p], a[row][q]);
-                (a[row][p], a[row][q]) = (c * x - s * y, s * x + c * y);
+            for row in &mut a {
+                let (x, y) = (row[p], row[q]);
+                (row[p], row[q]) = (c * x - s * y, s * x + c * y);
             }
             for col in 0..3 {
                 let (x, y) = (a[p][col], a[q][col]);
@@ -219,7 +210,12 @@ mod tests {
             prop_assert!(error(&m, &fast) < 1e-13, "{} {fast:?}", error(&m, &fast));
             for i in 0..3 {
                 prop_assert!((fast.values[i] - slow.values[i]).abs() <= 1e-13 * norm(&m));
-                prop_assert!((eigenvalues(&m)[i] - slow.values[i]).abs() <= 1e-7 * norm(&m));
+            }
+            // The roots alone lose half of the digits where two are nearly equal.
+            if let Some(parts) = Parts::of(&m) {
+                for (root, value) in parts.roots().into_iter().zip(slow.values) {
+                    prop_assert!((parts.value(root) - value).abs() <= 1e-7 * norm(&m));
+                }
             }
         }
     }
