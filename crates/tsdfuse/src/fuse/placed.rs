@@ -70,11 +70,6 @@ impl Placed {
         self.points.len()
     }
 
-    /// A place in the grid, given relative to the scan's anchor; `None` outside.
-    pub(crate) fn locate(&self, from_anchor_m: Vec3) -> Option<GridPoint> {
-        self.anchor?.locate(from_anchor_m)
-    }
-
     /// One return; `None` if it is invalid or outside the grid.
     #[inline]
     pub(crate) fn ray(&self, i: usize) -> Option<Ray> {

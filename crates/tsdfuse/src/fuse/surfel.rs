@@ -59,7 +59,8 @@ impl Surfels {
         for surfel in self.surfels.surfels() {
             let returns = u64::from(surfel.points);
             let weight = 1.0 - surfel.distance_m / max_range_m; // (5.26)
-            match self.placed.locate(surfel.center) {
+            let place = self.placed.anchor().and_then(|anchor| anchor.locate(surfel.center));
+            match place {
                 None => skipped.outside_grid += returns,
                 Some(_) if !(weight > 0.0) => skipped.without_weight += returns,
                 Some(center) => {
