@@ -103,7 +103,7 @@ impl Grid {
     pub fn anchor(&self, world: DVec3) -> Option<Anchor> {
         let v = world / self.voxel_size_m;
         // Also false for NaN.
-        if !(v.abs().max_element() < MAX_VOXEL) {
+        if !v.abs().cmplt(DVec3::splat(MAX_VOXEL)).all() {
             return None;
         }
         let v = (v * ORIGIN_STEPS_PER_VOXEL).round() / ORIGIN_STEPS_PER_VOXEL;
@@ -138,7 +138,7 @@ impl Anchor {
     pub fn locate(&self, from_anchor_m: Vec3) -> Option<GridPoint> {
         let v = self.fraction + from_anchor_m.as_dvec3() * self.voxels_per_m;
         // Also false for NaN.
-        if !(v.abs().max_element() < MAX_VOXEL) {
+        if !v.abs().cmplt(DVec3::splat(MAX_VOXEL)).all() {
             return None;
         }
         let base = floor(v);
@@ -211,10 +211,13 @@ mod tests {
     fn the_grid_has_an_end() {
         let grid = Grid::new(0.05);
         assert!(grid.anchor(DVec3::new(1e9, 0.0, 0.0)).is_none());
-        assert!(grid.anchor(DVec3::NAN).is_none());
         let anchor = grid.anchor(DVec3::ZERO).unwrap();
         assert!(anchor.locate(Vec3::splat(f32::INFINITY)).is_none());
-        assert!(anchor.locate(Vec3::splat(f32::NAN)).is_none());
+        for axis in 0..3 {
+            let (mut position, mut point) = (DVec3::ZERO, Vec3::ZERO);
+            (position[axis], point[axis]) = (f64::NAN, f32::NAN);
+            assert!(grid.anchor(position).is_none() && anchor.locate(point).is_none());
+        }
         assert!(anchor.locate(Vec3::splat(1e9)).is_none());
     }
 }

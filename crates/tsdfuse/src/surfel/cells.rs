@@ -24,7 +24,7 @@ fn key(point: Vec3, config: &SurfelConfig) -> Option<Key> {
     let level = config.level(point.length_squared());
     let cell = (point / config.cell_m(level)).floor();
     // Also false for NaN.
-    if !(cell.abs().max_element() < HALF as f32) {
+    if !cell.abs().cmplt(Vec3::splat(HALF as f32)).all() {
         return None;
     }
     let c = (cell.as_ivec3() + HALF).as_u64vec3();
@@ -79,15 +79,17 @@ mod tests {
             Vec3::new(0.1, -0.9, 0.9),
             Vec3::new(-0.1, -0.5, 0.5), // the cell beside it
             Vec3::new(0.0, 0.0, 1e9),
+            Vec3::new(0.0, f32::NAN, 0.0),
+            Vec3::new(0.0, 0.0, f32::NAN),
             Vec3::new(5.9, 1.9, 0.1),
             Vec3::new(3.9, 0.5, 0.5), // the cell of point 2, if it were on its level
         ];
         let mut cells = Vec::new();
-        assert_eq!(sort(&points, &config, &mut cells), 2);
+        assert_eq!(sort(&points, &config, &mut cells), 4);
         let groups: Vec<Vec<u32>> = cells
             .chunk_by(|a, b| a.key == b.key)
             .map(|group| group.iter().map(|cell| cell.point).collect())
             .collect();
-        assert_eq!(groups, [vec![4], vec![0, 3], vec![7], vec![2, 6]]);
+        assert_eq!(groups, [vec![4], vec![0, 3], vec![9], vec![2, 8]]);
     }
 }
