@@ -16,10 +16,11 @@ use rayon::prelude::*;
 
 use super::{
     Integration,
+    centers::ROW,
     scatter::{Counts, Skip},
 };
 use crate::{
-    index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex},
+    index::{BLOCK_VOXELS, BlockIndex},
     map::{Block, SHARDS, Shard, VoxelMap, fixed, shard_of},
 };
 
@@ -72,9 +73,6 @@ impl Near {
         }
     }
 }
-
-/// Voxels in a row of a block.
-const ROW: usize = BLOCK_EDGE as usize;
 
 /// The updates of one block in one scan.
 #[derive(Debug)]

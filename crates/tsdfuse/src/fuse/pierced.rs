@@ -55,7 +55,9 @@ impl Segment {
     #[inline]
     pub(crate) fn for_each(&self, mut visit: impl FnMut(Member)) {
         self.walk(self.reach(), |cell| {
-            self.member(cell).map(&mut visit).unwrap_or_default()
+            if let Some(member) = self.member(cell) {
+                visit(member);
+            }
         });
     }
 
