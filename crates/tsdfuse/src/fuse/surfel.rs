@@ -4,9 +4,11 @@
 //! (v − c)·n/μ (5.24), to the plane. What weight: (1 − ‖o − c‖/χ) · 1/(1 + ‖v − c‖/μ) (5.25)–(5.27), by range and by the distance
 //! from the disc's centre. The discs come from [`SurfelMap`].
 //!
-//! Strong where surfaces are large and flat: the noise of many returns is averaged, and what lies between the scan lines is
-//! covered, at any incidence and far away. Weak everywhere else: what is smaller than a cell is lost, discs stick out beyond
-//! edges, cells with few returns leave holes, and a cell crossed by one scan line has a wrong normal (thesis 7.5).
+//! Strong on large flat surfaces seen head-on: the noise of many returns is averaged, and what lies between the scan lines is
+//! covered. Weak everywhere else (thesis 7.5): what is smaller than a cell is lost, discs stick out beyond edges, cells with
+//! few returns leave holes, and a cell crossed by one scan line has a wrong normal. Ground seen at grazing incidence is torn,
+//! since the normals of its cells turn one way or the other by their noise; `ground_flip` mends that, and spoils the walls
+//! below the sensor.
 
 use std::time::Instant;
 
