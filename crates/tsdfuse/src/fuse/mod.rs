@@ -223,3 +223,35 @@ pub enum FuseError {
         position: glam::DVec3,
     },
 }
+
+#[cfg(test)]
+mod tests {
+    use serde::de::value::{Error, StrDeserializer};
+
+    use super::*;
+
+    #[test]
+    fn all_methods_are_listed_under_their_names() {
+        let read = |name| Method::deserialize(StrDeserializer::<Error>::new(name));
+        // The message names every method that there is.
+        let told = read("none").unwrap_err().to_string();
+        let known: Vec<&str> = told.split('`').skip(3).step_by(2).collect();
+        let listed: Vec<&str> = Method::ALL.iter().map(|m| m.name()).collect();
+        assert_eq!(known, listed, "{told}");
+        for &method in Method::ALL {
+            assert_eq!((read(method.name()), method.name().parse()), (Ok(method), Ok(method)));
+            method.build(&FuseConfig::default(), None);
+        }
+        assert!(
+            "none"
+                .parse::<Method>()
+                .unwrap_err()
+                .contains("no method none; there are raycast, ")
+        );
+    }
+
+    #[test]
+    fn the_defaults_make_sense() {
+        assert_eq!(FuseConfig::default().validate(), Ok(()));
+    }
+}
