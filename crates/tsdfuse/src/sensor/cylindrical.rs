@@ -221,10 +221,9 @@ mod tests {
     fn pixels_are_square_and_rows_go_from_the_highest_to_the_lowest_beam() {
         let pandar = model("pandar64").unwrap();
         let image = Cylindrical::new(&pandar, 0.0, 0.0, 0.0);
-        assert_eq!(
-            (image.columns(), image.rows()),
-            (1800, 1 + (0.7342 / (TAU / 1800.0)) as usize)
-        );
+        let tan = |ring: usize| pandar.elevations_deg[ring].to_radians().tan();
+        let rows = 1 + ((tan(63) - tan(0)) * 1800.0 / TAU).round() as usize;
+        assert_eq!((image.columns(), image.rows()), (1800, rows));
         let along = |elevation: f32| Vec3::new(1.0, 0.0, elevation.to_radians().tan()) * 7.0;
         let row = |elevation: f32| image.pixel(image.project(along(elevation))).map(|(row, _)| row);
         assert_eq!(row(*pandar.elevations_deg.last().unwrap()), Some(0));

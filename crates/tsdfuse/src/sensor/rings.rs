@@ -250,7 +250,7 @@ impl Beams {
                 return Tilt::default(); // too few points, or all in one direction
             }
             let solved = normal.inverse() * right;
-            if !(solved.abs().max_element() < MAX_TILT_DEG) {
+            if !(solved.is_finite() && solved.abs().max_element() < MAX_TILT_DEG) {
                 return Tilt::default();
             }
             tilt = Tilt(solved.as_vec3().to_array());
