@@ -126,6 +126,11 @@ pub struct Anchor {
 }
 
 impl Anchor {
+    /// The voxel that holds the origin, and the position within it, in voxels.
+    pub(crate) fn split(&self) -> (IVec3, DVec3) {
+        (self.base, self.fraction)
+    }
+
     /// The centre of a voxel relative to the anchor (world axes, metres).
     #[inline]
     pub fn offset_of(&self, voxel: IVec3) -> Vec3 {
@@ -151,7 +156,7 @@ impl Anchor {
 
 /// The floor of numbers that fit an i32: a few instructions, where the library's is a call on the x86-64 baseline.
 #[inline]
-fn floor(v: DVec3) -> IVec3 {
+pub(crate) fn floor(v: DVec3) -> IVec3 {
     let towards_zero = v.as_ivec3();
     let above = towards_zero.as_dvec3().cmpgt(v);
     towards_zero - IVec3::new(above.x.into(), above.y.into(), above.z.into())

@@ -32,6 +32,7 @@ pub mod map;
 pub mod mesh;
 pub mod normals;
 pub mod pose;
+pub mod render;
 pub mod scan;
 pub mod sensor;
 pub mod surfel;

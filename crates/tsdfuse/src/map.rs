@@ -389,6 +389,11 @@ pub(crate) fn fixed(distance: f32, weight: f32) -> (i32, i32) {
     (weight, round(distance.clamp(-1.0, 1.0) * weight as f32))
 }
 
+/// The smallest weight sum that makes a weight of at least `min_weight`.
+pub(crate) fn min_weight_sum(min_weight: f32) -> u32 {
+    (min_weight.max(0.0) * WEIGHT_SCALE as f32).ceil() as u32
+}
+
 /// The fixed-point form of a weight limit.
 fn weight_limit(max_weight: f32) -> u32 {
     ((f64::from(max_weight) * f64::from(WEIGHT_SCALE)).round() as u32).max(1)

@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     index::{BLOCK_VOXELS, BlockIndex, local_number, voxel_at},
-    map::{VoxelMap, WEIGHT_SCALE},
+    map::{VoxelMap, min_weight_sum},
 };
 
 const AXES: [IVec3; 3] = [IVec3::X, IVec3::Y, IVec3::Z];
@@ -52,7 +52,7 @@ pub fn extract(map: &VoxelMap) -> Result<Mesh, MeshError> {
 /// # Errors
 /// [`MeshError::TooManyVertices`] beyond 2³² vertices.
 pub fn extract_with(map: &VoxelMap, config: &MeshConfig) -> Result<Mesh, MeshError> {
-    let min_sum = (config.min_weight.max(0.0) * WEIGHT_SCALE as f32).ceil() as u32;
+    let min_sum = min_weight_sum(config.min_weight);
 
     let patches: Vec<Patch> = map
         .block_indices()

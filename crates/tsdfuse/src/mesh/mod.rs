@@ -2,7 +2,7 @@
 
 mod cube;
 mod extract;
-mod neighbourhood;
+pub(crate) mod neighbourhood;
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};

@@ -13,7 +13,7 @@ const EDGE: usize = 11;
 /// The voxels of one block and of the rim around it, by coordinates relative to the block's first voxel, −1..=9.
 ///
 /// Rows along x also exist as bits, so that a whole row of cells or edges is judged at once: voxel x is bit x + 1.
-pub(super) struct Neighbourhood {
+pub(crate) struct Neighbourhood {
     voxels: [Voxel; EDGE * EDGE * EDGE],
     /// Was the voxel observed?
     valid: [u16; EDGE * EDGE],
@@ -29,7 +29,7 @@ const OWN: u16 = 0b1_1111_1110;
 
 impl Neighbourhood {
     /// A neighbourhood to load blocks into; voxels with a weight sum below `min_sum` count as unobserved.
-    pub(super) fn new(min_sum: u32) -> Self {
+    pub(crate) fn new(min_sum: u32) -> Self {
         Self {
             voxels: [Voxel::default(); EDGE * EDGE * EDGE],
             valid: [0; EDGE * EDGE],
@@ -40,7 +40,7 @@ impl Neighbourhood {
     }
 
     /// Loads a block and its rim.
-    pub(super) fn load(&mut self, map: &VoxelMap, index: BlockIndex) {
+    pub(crate) fn load(&mut self, map: &VoxelMap, index: BlockIndex) {
         let blocks: [Option<&Block>; 27] = std::array::from_fn(|n| {
             let n = n as i32;
             map.block(BlockIndex(index.0 + IVec3::new(n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1)))
@@ -94,7 +94,7 @@ impl Neighbourhood {
 
     /// Which of the block's cells in row (y, z) the surface passes: observed at all corners, on both sides of the surface.
     #[inline]
-    pub(super) fn surface_cells_in_row(&self, y: i32, z: i32) -> u16 {
+    pub(crate) fn surface_cells_in_row(&self, y: i32, z: i32) -> u16 {
         let [a, b, c, d] = four(&self.negative, y, z);
         let (any, all) = (a | b | c | d, a & b & c & d);
         let mixed = (any | any >> 1) & !(all & all >> 1);

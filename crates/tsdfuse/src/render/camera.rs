@@ -1,0 +1,83 @@
+//! Cameras: which ray each pixel of an image looks along.
+
+use glam::{DVec3, Vec3};
+
+use super::RenderError;
+use crate::sensor::{Pinhole, Pixel, Projection, SensorModel};
+
+/// What looks at a map. Sensor frame: x forward, y left, z up.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Camera {
+    /// A pinhole camera; depths are along its optical axis.
+    Pinhole(Pinhole),
+    /// A rotating LiDAR: a row for each beam, the highest on top, and a column for each firing, beginning straight ahead and
+    /// going clockwise ([`Projection`]). It sees no farther than its model says; depths are ranges.
+    Lidar(SensorModel),
+}
+
+impl Camera {
+    /// Pixels in a row, and rows.
+    pub fn size(&self) -> (usize, usize) {
+        match self {
+            Self::Pinhole(camera) => (camera.width as usize, camera.height as usize),
+            Self::Lidar(model) => (model.columns as usize, model.rings()),
+        }
+    }
+
+    /// Checks the numbers, which may come from a file.
+    ///
+    /// # Errors
+    /// [`RenderError`] passes on what the camera or the sensor model says.
+    pub fn check(&self) -> Result<(), RenderError> {
+        match self {
+            Self::Pinhole(camera) => Ok(camera.check()?),
+            Self::Lidar(model) => Ok(model.check()?),
+        }
+    }
+
+    /// The longest range it measures.
+    pub(super) fn max_range_m(&self) -> f32 {
+        match self {
+            Self::Pinhole(_) => f32::INFINITY,
+            Self::Lidar(model) => model.max_range_m,
+        }
+    }
+
+    /// The rays of its pixels.
+    pub(super) fn rays(&self) -> Rays<'_> {
+        match self {
+            Self::Pinhole(camera) => Rays::Pinhole(camera),
+            Self::Lidar(model) => Rays::Lidar {
+                projection: Projection::new(model),
+                top: model.rings() - 1,
+            },
+        }
+    }
+}
+
+/// The rays of a camera's pixels.
+pub(super) enum Rays<'a> {
+    Pinhole(&'a Pinhole),
+    Lidar { projection: Projection, top: usize },
+}
+
+impl Rays<'_> {
+    /// The unit vector (sensor frame) along which a pixel looks, and the depth of what is seen at range 1 there.
+    #[inline]
+    pub(super) fn of(&self, column: usize, row: usize) -> (DVec3, f32) {
+        match self {
+            Self::Pinhole(camera) => {
+                let ray: Vec3 = camera.ray(column as f32, row as f32);
+                let direction = ray.as_dvec3().normalize();
+                (direction, direction.x as f32)
+            }
+            Self::Lidar { projection, top } => {
+                let pixel = Pixel {
+                    row: (top - row) as f64,
+                    column: column as f64,
+                };
+                (projection.direction(pixel), 1.0)
+            }
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! Poses from which a whole map is seen: from above, at an angle.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use glam::{DMat3, DQuat, DVec3};
+
+use super::Renderer;
+use crate::Pose;
+use crate::index::voxel_at;
+use crate::sensor::Pinhole;
+
+/// How far down the camera looks.
+const PITCH_RAD: f64 = 0.65;
+
+/// How far the view turns away from looking straight across the map's long side.
+const OBLIQUE_RAD: f64 = 0.45;
+
+/// The share of the surface's blocks beyond each side of the box that is shown: a few far returns do not count.
+const BEYOND: f64 = 0.01;
+
+/// The share of the image that stays free at its borders.
+const MARGIN: f64 = 0.04;
+
+/// The pose from which a camera sees the whole map across its long side; `None` for a map without surface.
+pub fn overview(renderer: &Renderer, camera: &Pinhole) -> Option<Pose> {
+    let hull = Hull::of(renderer)?;
+    Some(hull.pose(OBLIQUE_RAD, hull.distance(camera, OBLIQUE_RAD)))
+}
+
+/// `count` poses around the map, all at one distance; the first looks as [`overview`] does, the others follow
+/// counter-clockwise. None for a map without surface.
+pub fn turntable(renderer: &Renderer, camera: &Pinhole, count: usize) -> Vec<Pose> {
+    let Some(hull) = Hull::of(renderer) else {
+        return Vec::new();
+    };
+    let turns: Vec<_> = (0..count)
+        .map(|i| OBLIQUE_RAD + TAU * i as f64 / count as f64)
+        .collect();
+    let distances = turns.iter().map(|&turn| hull.distance(camera, turn));
+    let distance = distances.fold(0.0, f64::max);
+    turns.iter().map(|&turn| hull.pose(turn, distance)).collect()
+}
+
+/// A box around nearly all of the surface, upright and turned along its longest extent.
+struct Hull {
+    center: DVec3,
+    /// Half of its edges, along its own axes, metres.
+    half: DVec3,
+    /// From the world's x axis to its own, about z.
+    heading_rad: f64,
+}
+
+impl Hull {
+    fn of(renderer: &Renderer) -> Option<Self> {
+        let grid = renderer.map().grid();
+        let center = |block| grid.center(voxel_at(block, 0)) + 3.5 * grid.voxel_size_m();
+        let mut points: Vec<DVec3> = renderer.surface_blocks().map(center).collect();
+        let first = *points.first()?;
+        // Relative to the first: covariances do not suffer from large coordinates.
+        points.iter_mut().for_each(|p| *p -= first);
+        let middle = points.iter().sum::<DVec3>() / points.len() as f64;
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for d in points.iter().map(|p| *p - middle) {
+            (xx, xy, yy) = (xx + d.x * d.x, xy + d.x * d.y, yy + d.y * d.y);
+        }
+        let heading_rad = 0.5 * (2.0 * xy).atan2(xx - yy);
+        let own_from_world = DQuat::from_rotation_z(-heading_rad);
+        let block_m = 8.0 * grid.voxel_size_m();
+        let mut along = [0, 1, 2].map(|axis| {
+            let mut values: Vec<f64> = points.iter().map(|p| (own_from_world * *p)[axis]).collect();
+            values.sort_unstable_by(f64::total_cmp);
+            let beyond = (BEYOND * (values.len() - 1) as f64) as usize;
+            (values[beyond], values[values.len() - 1 - beyond])
+        });
+        along
+            .iter_mut()
+            .for_each(|(low, high)| (*low, *high) = (*low - 0.5 * block_m, *high + 0.5 * block_m));
+        let low = DVec3::from(along.map(|(low, _)| low));
+        let high = DVec3::from(along.map(|(_, high)| high));
+        Some(Self {
+            center: first + own_from_world.conjugate() * (0.5 * (low + high)),
+            half: 0.5 * (high - low),
+            heading_rad,
+        })
+    }
+
+    /// The camera's axes in the world where it looks across the box, turned counter-clockwise about it.
+    fn axes(&self, turn_rad: f64) -> DQuat {
+        DQuat::from_rotation_z(self.heading_rad + FRAC_PI_2 + turn_rad) * DQuat::from_rotation_y(PITCH_RAD)
+    }
+
+    fn pose(&self, turn_rad: f64, distance_m: f64) -> Pose {
+        let rotation = self.axes(turn_rad);
+        Pose {
+            rotation,
+            translation: self.center - rotation * DVec3::X * distance_m,
+        }
+    }
+
+    /// From how far the whole box is in the image.
+    fn distance(&self, camera: &Pinhole, turn_rad: f64) -> f64 {
+        let camera_from_own =
+            DMat3::from_quat(self.axes(turn_rad).conjugate() * DQuat::from_rotation_z(self.heading_rad));
+        let tangent = |pixels: u32, focal: f32| (0.5 - MARGIN) * f64::from(pixels) / f64::from(focal);
+        let (across, down) = (tangent(camera.width, camera.fx), tangent(camera.height, camera.fy));
+        let corners = (0..8).map(|c| {
+            let side = |bit: i32| if c & bit == 0 { -1.0 } else { 1.0 };
+            let p = camera_from_own * (self.half * DVec3::new(side(1), side(2), side(4)));
+            (p.y.abs() / across).max(p.z.abs() / down) - p.x
+        });
+        corners.fold(0.0, f64::max)
+    }
+}
