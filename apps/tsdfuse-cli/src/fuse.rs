@@ -17,6 +17,7 @@ use crate::config::Suggested;
 use crate::exit::{Outcome, one_line};
 use crate::mesh::surface;
 use crate::progress::{self, note, say};
+use crate::render::preview;
 use crate::report::{
     DatasetReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, left_out, peak_memory_bytes,
     print_json,
@@ -52,6 +53,8 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let saved_map = args.save_map.as_deref().map(save).transpose()?;
     let extract = |path| surface(&fusion.map, &config.mesh, path);
     let mesh = args.output.as_deref().map(extract).transpose()?;
+    let picture = |path| preview(&fusion.map, config.mesh.min_weight, path);
+    let preview = args.preview.as_deref().map(picture).transpose()?;
 
     let report = Report {
         version: env!("CARGO_PKG_VERSION"),
@@ -76,6 +79,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         skipped_scans: fusion.skipped,
         saved_map,
         mesh,
+        preview,
         peak_memory_bytes: peak_memory_bytes(),
         wall_seconds: start.elapsed().as_secs_f64(),
     };

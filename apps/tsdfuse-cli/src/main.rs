@@ -7,6 +7,7 @@ mod info;
 mod mesh;
 mod output;
 mod progress;
+mod render;
 mod report;
 mod simulate;
 
@@ -26,6 +27,7 @@ struct Cli {
 enum Command {
     Fuse(Box<fuse::Args>),
     Mesh(mesh::Args),
+    Render(Box<render::Args>),
     Simulate(simulate::Args),
     Info(info::Args),
 }
@@ -38,6 +40,7 @@ fn main() -> ExitCode {
     exit::code(match &cli.command {
         Command::Fuse(args) => fuse::run(args),
         Command::Mesh(args) => mesh::run(args),
+        Command::Render(args) => render::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
     })

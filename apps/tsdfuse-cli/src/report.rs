@@ -14,6 +14,7 @@ use tsdfuse::{Mesh, SensorModel, VoxelMap};
 
 use crate::config::RunConfig;
 use crate::progress::say;
+use crate::render::ViewReport;
 
 /// Everything about one run of `tsdfuse fuse`. Times are seconds of wall time.
 #[derive(Debug, Serialize)]
@@ -40,6 +41,8 @@ pub(crate) struct Report {
     pub(crate) saved_map: Option<SavedMap>,
     /// The surface, if it was asked for.
     pub(crate) mesh: Option<MeshReport>,
+    /// The picture of the result, if it was asked for.
+    pub(crate) preview: Option<ViewReport>,
     /// The most memory that the process held, where the system tells.
     pub(crate) peak_memory_bytes: Option<u64>,
     /// From start to the last file that was finished, but this report.
@@ -240,6 +243,7 @@ impl Report {
             say(format_args!("  wrote    {}, {}", path.display(), BinaryBytes(*bytes)));
         }
         mesh.inspect(|mesh| mesh.say_where());
+        self.preview.as_ref().inspect(|view| view.say_where());
     }
 }
 

@@ -64,7 +64,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// Move everything by these metres, as to UTM coordinates.
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_offset, allow_hyphen_values = true, default_value = "0,0,0")]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, default_value = "0,0,0")]
     offset: DVec3,
 }
 
@@ -157,7 +157,8 @@ fn write(args: &Args, simulator: &Simulator, folder: &Path) -> Result<u64> {
     Ok(points)
 }
 
-fn parse_offset(text: &str) -> Result<DVec3, String> {
+/// Three finite numbers with commas between them.
+pub(crate) fn parse_triple(text: &str) -> Result<DVec3, String> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
     match numbers.as_deref() {
         Some(&[x, y, z]) if DVec3::new(x, y, z).is_finite() => Ok(DVec3::new(x, y, z)),
@@ -215,9 +216,9 @@ mod tests {
 
     #[test]
     fn an_offset_is_three_finite_numbers() {
-        assert_eq!(parse_offset("1, -2,3e5"), Ok(DVec3::new(1.0, -2.0, 3e5)));
+        assert_eq!(parse_triple("1, -2,3e5"), Ok(DVec3::new(1.0, -2.0, 3e5)));
         for bad in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
-            assert!(parse_offset(bad).is_err(), "{bad}");
+            assert!(parse_triple(bad).is_err(), "{bad}");
         }
     }
 

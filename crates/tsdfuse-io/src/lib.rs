@@ -1,7 +1,7 @@
-//! Readers of LiDAR logs and depth images, and writers of meshes.
+//! Readers of LiDAR logs and depth images, and writers of meshes and pictures.
 //!
 //! [`open`] recognises what lies at a path and gives a [`Dataset`]: scans with poses, read ahead in the background.
-//! [`mesh::write`] writes what was made of them.
+//! [`mesh::write`] and [`png::write`] write what was made of them.
 
 pub mod atomic;
 mod bin;
@@ -26,6 +26,7 @@ mod pcd;
 mod pickle;
 pub mod plain;
 pub mod ply;
+pub mod png;
 pub mod poses;
 pub mod read_ahead;
 pub mod rgbd;

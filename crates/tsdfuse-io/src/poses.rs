@@ -100,6 +100,22 @@ pub fn read(path: impl AsRef<Path>) -> Result<Poses> {
     parse(path, &files::read(path)?)
 }
 
+/// Reads all poses of a file, in their order: KITTI, TUM, or a single matrix of 3 or 4 lines with 4 numbers each.
+///
+/// # Errors
+/// Names the file, the line and the reason.
+pub fn read_all(path: impl AsRef<Path>) -> Result<Vec<Pose>> {
+    let path = path.as_ref();
+    let bytes = files::read(path)?;
+    let first = text::lines(path, &bytes)?.next().map(|line| line.numbers());
+    if first.transpose()?.is_some_and(|numbers| numbers.len() == 4) {
+        return Ok(vec![rows_of_4(path, &bytes)?]);
+    }
+    match parse(path, &bytes)? {
+        Poses::Listed(poses) | Poses::Timed(Trajectory { poses, .. }) => Ok(poses),
+    }
+}
+
 /// Parses the content of a pose file; `path` is for messages.
 ///
 /// # Errors
@@ -133,6 +149,23 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Poses> {
         (0, 0) => Err(Error::format(path, "holds no poses")),
         (_, 0) => Ok(Poses::Listed(listed)),
         _ => Ok(Poses::Timed(timed)),
+    }
+}
+
+/// A single pose, one row of its matrix a line.
+fn rows_of_4(path: &Path, bytes: &[u8]) -> Result<Pose> {
+    let rows = text::lines(path, bytes)?.take(5).map(|line| line.numbers());
+    let rows: Vec<Vec<f64>> = rows.collect::<Result<_>>()?;
+    let is_last = |row: &Vec<f64>| row == &[0.0, 0.0, 0.0, 1.0];
+    let numbers: Vec<f64> = rows.concat();
+    match numbers.first_chunk() {
+        Some(matrix) if rows.iter().all(|row| row.len() == 4) && rows.len() < 5 && rows[3..].iter().all(is_last) => {
+            Pose::from_row_major_3x4(matrix).map_err(|e| Error::format(path, e.to_string()))
+        }
+        _ => Err(Error::format(
+            path,
+            "a matrix has 3 lines of 4 numbers, or 4 of which the last is 0 0 0 1",
+        )),
     }
 }
 

@@ -27,16 +27,19 @@ Settings: defaults < --config < --set < flags. A report holds all of them.";
 
 /// Fuse scans into a map and extract its surface.
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES, group(ArgGroup::new("result").args(["output", "save_map"]).required(true).multiple(true)))]
+#[command(after_help = EXAMPLES, group(ArgGroup::new("result").args(["output", "save_map", "preview"]).required(true).multiple(true)))]
 pub(crate) struct Args {
     /// The data set; its format (PandaSet, KITTI, a plain folder, RGB-D, ...) is recognised.
     pub(super) dataset: PathBuf,
     /// The mesh to write, .ply, .glb or .obj; `-` writes PLY to standard output.
     #[arg(short, long, value_name = "FILE")]
     pub(super) output: Option<PathBuf>,
-    /// Save the map, for `tsdfuse mesh`; --output may then be missing.
+    /// Save the map, for `tsdfuse mesh` and `tsdfuse render`; --output may then be missing.
     #[arg(long, value_name = "FILE")]
     pub(super) save_map: Option<PathBuf>,
+    /// A picture of the whole result, .png.
+    #[arg(long, value_name = "FILE")]
+    pub(super) preview: Option<PathBuf>,
     #[arg(long, value_parser = PossibleValuesParser::new(Method::ALL.iter().map(|m| m.name())),
         help = format!("How scans are fused [default: {}, or depth for depth cameras]", Method::default().name()))]
     method: Option<String>,
@@ -125,7 +128,10 @@ impl Args {
         if let Some(mesh) = &self.output {
             output::check_mesh(mesh, self.json)?;
         }
-        let files: Vec<_> = self.save_map.iter().chain(&self.report).collect();
+        if let Some(preview) = &self.preview {
+            tsdfuse_io::png::check(preview).map_err(Usage::new)?;
+        }
+        let files: Vec<_> = self.save_map.iter().chain(&self.report).chain(&self.preview).collect();
         let results: Vec<_> = self.output.iter().chain(files.iter().copied()).collect();
         if let Some(twice) = results
             .iter()

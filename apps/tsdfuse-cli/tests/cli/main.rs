@@ -8,6 +8,7 @@ mod help;
 mod info;
 mod map;
 mod ply;
+mod render;
 mod rgbd;
 mod run;
 mod simulate;

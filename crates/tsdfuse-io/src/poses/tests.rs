@@ -162,6 +162,39 @@ fn the_pose_file_is_found_or_the_choice_is_left_to_the_user() {
     assert_eq!(found().unwrap().as_deref(), Some("poses.txt"));
 }
 
+#[test]
+fn all_poses_of_a_file_are_read_whatever_its_kind() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("poses.txt");
+    let read = |text: &str| {
+        std::fs::write(&path, text).unwrap();
+        read_all(&path).map_err(|e| e.to_string())
+    };
+    let three = "1 0 0 5\n0 1 0 0\n\n0 0 1 0\n";
+    assert_eq!(read(three), Ok(vec![shift(5.0)]));
+    assert_eq!(
+        read(&format!("# world_from_camera\n{three}0 0 0 1")),
+        Ok(vec![shift(5.0)])
+    );
+    assert_eq!(read(&IDENTITY.repeat(3)), Ok(vec![Pose::IDENTITY; 3]));
+    assert_eq!(read("3.5 7 0 0 0 0 0 1"), Ok(vec![shift(7.0)]));
+    for bad in [
+        "1 0 0 5\n0 1 0 0",
+        &format!("{three}0 0 0 2"),
+        &format!("{three}0 0 0 1\n0 0 0 1"),
+        "1 0 0 5\n0 1 0\n0 0 1 0",
+    ] {
+        let told = read(bad).unwrap_err();
+        assert!(
+            told.contains("poses.txt: a matrix has 3 lines of 4 numbers, or 4"),
+            "{told}"
+        );
+    }
+    assert!(read("").unwrap_err().contains("holds no poses"));
+    assert!(read("2 0 0 5\n0 1 0 0\n0 0 1 0").unwrap_err().contains("not rigid"));
+    assert!(read("1 0 0 x").unwrap_err().contains("line 1: \"x\" is not a number"));
+}
+
 proptest! {
     #[test]
     fn any_bytes_are_bearable(bytes in prop::collection::vec(any::<u8>(), 0..200)) {

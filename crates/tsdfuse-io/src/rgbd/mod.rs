@@ -40,7 +40,7 @@ use image::ImageSize;
 const MIN_RANGE_M: f32 = 0.1;
 
 /// A point (x, y, z) of the sensor frame is (−y, −z, x) in the optical one.
-const OPTICAL_FROM_SENSOR: Pose = Pose {
+pub const OPTICAL_FROM_SENSOR: Pose = Pose {
     rotation: DQuat::from_xyzw(0.5, -0.5, 0.5, 0.5),
     translation: DVec3::ZERO,
 };

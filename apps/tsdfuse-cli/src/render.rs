@@ -1,0 +1,312 @@
+//! `tsdfuse render`: a saved map in, pictures of it out.
+
+mod look;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use clap::ArgGroup;
+use clap::builder::PossibleValuesParser;
+use glam::DVec3;
+use serde::Serialize;
+use tsdfuse::render::{Camera, ImageKind, RenderConfig, Renderer};
+use tsdfuse::sensor::Pinhole;
+use tsdfuse::{Pose, SensorModel, VoxelMap};
+
+use crate::exit::{Outcome, Usage};
+use crate::output;
+use crate::progress::{self, note, say};
+use crate::report::{MapReport, print_json};
+use crate::simulate::parse_triple;
+use look::{Look, Size};
+
+const MORE_HELP: &str = "\
+Camera frame: x forward, y left, z up. YAW turns left, PITCH up, ROLL the right side down, in degrees. A pose file holds \
+camera-to-world poses: KITTI or TUM lines, or one matrix of 3 or 4 lines.
+
+Pictures: shaded; normal (red, green, blue = x, y, z); depth (16 bits, millimetres, 0 = nothing, ends at 65.535 m); weight \
+(dark = 0.01, bright = 100, logarithmic). Several views are numbered, several pictures named: view-03-depth.png.
+
+Surface is seen from the side it was measured from; from behind, one looks through it.
+
+Examples:
+  tsdfuse render street.tsdf -o view.png
+  tsdfuse render street.tsdf -o view.png --from 0,0,2 --to 20,5,1 --image shaded,depth
+  tsdfuse render street.tsdf -o turn.png --views 36
+  tsdfuse render street.tsdf -o scan.png --pose 0,0,1.8 --sensor pandar64";
+
+const SIZE: Size = Size {
+    width: 1280,
+    height: 720,
+};
+const FOV_DEG: f32 = 60.0;
+
+/// Make pictures of a saved map.
+#[derive(Debug, clap::Args)]
+#[command(after_help = MORE_HELP, group(ArgGroup::new("place").args(["pose", "poses", "from"])),
+    group(ArgGroup::new("look").args(["overview", "views", "pose", "poses", "from"])))]
+pub(crate) struct Args {
+    /// The map, saved by `tsdfuse fuse --save-map`.
+    map: PathBuf,
+    /// The picture to write, .png.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Look at the whole map from above; the default.
+    #[arg(long)]
+    overview: bool,
+    /// Look at the whole map from N places around it.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=9999))]
+    views: Option<u16>,
+    /// Look from this pose: X,Y,Z[,YAW[,PITCH[,ROLL]]], or a file that holds one.
+    #[arg(long, value_name = "POSE|FILE", allow_hyphen_values = true)]
+    pose: Option<String>,
+    /// Look from each pose of a file.
+    #[arg(long, value_name = "FILE")]
+    poses: Option<PathBuf>,
+    /// Look from this place towards --to.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, requires = "to")]
+    from: Option<DVec3>,
+    /// The place that is looked at.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, requires = "from")]
+    to: Option<DVec3>,
+    /// The given poses are those of an optical frame: x right, y down, z forward.
+    #[arg(long, conflicts_with_all = ["overview", "views", "from"])]
+    optical: bool,
+    /// What the picture shows; several with commas between them.
+    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = ImageKind::default().name(),
+        value_parser = PossibleValuesParser::new(ImageKind::ALL.map(ImageKind::name)))]
+    image: Vec<String>,
+    #[arg(long, value_name = "WIDTHxHEIGHT",
+        help = format!("Pixels [default: {}x{}]", SIZE.width, SIZE.height))]
+    size: Option<Size>,
+    #[arg(long, value_name = "DEG", help = format!("Field of view across [default: {FOV_DEG}]"))]
+    fov: Option<f32>,
+    /// Look with a LiDAR: a row for each beam, a column for each firing, clockwise from straight ahead.
+    #[arg(long, value_name = "NAME", requires = "place", conflicts_with_all = ["size", "fov"],
+        value_parser = PossibleValuesParser::new(tsdfuse::sensor::names()))]
+    sensor: Option<String>,
+    /// Voxels of less weight are not seen.
+    #[arg(long, value_name = "W", default_value_t = RenderConfig::default().min_weight)]
+    min_weight: f32,
+    /// What is farther away is not seen, metres.
+    #[arg(long, value_name = "M", default_value_t = RenderConfig::default().max_range_m)]
+    max_range: f32,
+    /// Print what was done as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was done. Times are seconds of wall time.
+#[derive(Debug, Serialize)]
+struct Done {
+    /// The file that was read.
+    path: PathBuf,
+    read_seconds: f64,
+    map: MapReport,
+    config: RenderConfig,
+    camera: Option<Pinhole>,
+    sensor: Option<SensorModel>,
+    /// Finding the surface, once.
+    prepare_seconds: f64,
+    views: Vec<ViewReport>,
+}
+
+/// One view. Times are seconds of wall time.
+#[derive(Debug, Serialize)]
+pub(crate) struct ViewReport {
+    /// `world_from_camera`, the row-major matrix `[R | t]`.
+    pose: [f64; 12],
+    width: usize,
+    height: usize,
+    /// Pixels that see surface.
+    surface_pixels: usize,
+    /// The pictures that were written.
+    files: Vec<PathBuf>,
+    seconds: f64,
+    write_seconds: f64,
+}
+
+pub(crate) fn run(args: &Args) -> Result<Outcome> {
+    let config = RenderConfig {
+        min_weight: args.min_weight,
+        max_range_m: args.max_range,
+    };
+    config.validate().map_err(Usage::new)?;
+    tsdfuse_io::png::check(&args.output).map_err(Usage::new)?;
+    output::check_file(&args.output)?;
+    let kinds = args.kinds();
+    let pinhole = look::pinhole(args.size.unwrap_or(SIZE), args.fov.unwrap_or(FOV_DEG))?;
+    let sensor = args.sensor.as_deref().and_then(tsdfuse::sensor::model);
+    let look = Look::of(args)?;
+
+    let start = Instant::now();
+    let map = tsdfuse_io::map_file::read(&args.map)?;
+    let read_seconds = start.elapsed().as_secs_f64();
+    let spinner = progress::working("rendering");
+    let preparing = Instant::now();
+    let renderer = prepare(&map, &config)?;
+    let prepare_seconds = preparing.elapsed().as_secs_f64();
+    let poses = look.poses(&renderer, &pinhole);
+    let camera = sensor.clone().map_or(Camera::Pinhole(pinhole), Camera::Lidar);
+    let mut views = Vec::with_capacity(poses.len());
+    for (number, pose) in poses.iter().enumerate() {
+        let files: Vec<_> = kinds
+            .iter()
+            .map(|&kind| (kind, name(&args.output, number, poses.len(), kind, kinds.len())))
+            .collect();
+        views.push(ViewReport::make(&renderer, &camera, *pose, &files)?);
+    }
+    drop(spinner);
+    let done = Done {
+        path: args.map.clone(),
+        read_seconds,
+        map: MapReport::of(&map),
+        config,
+        camera: sensor.is_none().then_some(pinhole),
+        sensor,
+        prepare_seconds,
+        views,
+    };
+    done.summarize(start.elapsed().as_secs_f64());
+    if args.json {
+        print_json(&done)?;
+    }
+    Ok(Outcome::Complete)
+}
+
+/// Writes an overview of a map.
+pub(crate) fn preview(map: &VoxelMap, min_weight: f32, path: &Path) -> Result<ViewReport> {
+    let _spinner = progress::working("rendering");
+    let config = RenderConfig {
+        min_weight,
+        ..Default::default()
+    };
+    let renderer = prepare(map, &config)?;
+    let camera = look::pinhole(SIZE, FOV_DEG)?;
+    let pose = Look::Overview.poses(&renderer, &camera);
+    let pose = pose.first().context("the map has no surface")?;
+    let file = (ImageKind::Shaded, path.to_owned());
+    ViewReport::make(&renderer, &Camera::Pinhole(camera), *pose, &[file])
+}
+
+/// Prepares a map, which must not be without surface.
+fn prepare<'a>(map: &'a VoxelMap, config: &RenderConfig) -> Result<Renderer<'a>> {
+    let renderer = Renderer::new(map, config)?;
+    if renderer.surface_blocks().len() == 0 {
+        bail!(
+            "the map has no surface: {} blocks of voxels, but none that it passes at a weight of {} or more",
+            map.block_count(),
+            config.min_weight
+        );
+    }
+    Ok(renderer)
+}
+
+impl Args {
+    /// The pictures to make of each view; none twice.
+    fn kinds(&self) -> Vec<ImageKind> {
+        let asked = |kind: &ImageKind| self.image.iter().any(|name| name == kind.name());
+        ImageKind::ALL.into_iter().filter(asked).collect()
+    }
+}
+
+impl ViewReport {
+    fn make(renderer: &Renderer, camera: &Camera, pose: Pose, files: &[(ImageKind, PathBuf)]) -> Result<Self> {
+        let start = Instant::now();
+        let view = renderer.view(camera, pose)?;
+        let seconds = start.elapsed().as_secs_f64();
+        for (kind, path) in files {
+            tsdfuse_io::png::write(path, &view.image(*kind))?;
+        }
+        Ok(Self {
+            pose: pose.to_row_major_3x4(),
+            width: view.width,
+            height: view.height,
+            surface_pixels: view.hit_count(),
+            files: files.iter().map(|(_, path)| path.clone()).collect(),
+            seconds,
+            write_seconds: start.elapsed().as_secs_f64() - seconds,
+        })
+    }
+
+    /// How much of the picture shows surface, percent.
+    fn surface_percent(&self) -> f64 {
+        100.0 * self.surface_pixels as f64 / (self.width * self.height) as f64
+    }
+
+    /// A line for people: where the pictures lie.
+    pub(crate) fn say_where(&self) {
+        for file in &self.files {
+            say(format_args!("  wrote    {}", file.display()));
+        }
+    }
+}
+
+impl Done {
+    /// A few lines for people.
+    fn summarize(&self, wall_seconds: f64) {
+        self.map.summarize(None);
+        let [Some(first), Some(last)] = [self.views.first(), self.views.last()] else {
+            return;
+        };
+        let percent = self.views.iter().map(ViewReport::surface_percent);
+        let (least, most) = percent.fold((100.0_f64, 0.0_f64), |(l, m), p| (l.min(p), m.max(p)));
+        let size = format!("{} x {} pixels", first.width, first.height);
+        match self.views.len() {
+            1 => say(format_args!("  view     {size}, {most:.0}% show surface")),
+            n => say(format_args!(
+                "  views    {n} of {size}, {least:.0}% to {most:.0}% show surface"
+            )),
+        }
+        let sum = |of: fn(&ViewReport) -> f64| self.views.iter().map(of).sum::<f64>();
+        say(format_args!(
+            "  seconds  read {:.2}, prepare {:.2}, render {:.2}, write {:.2}; in all {wall_seconds:.2}",
+            self.read_seconds,
+            self.prepare_seconds,
+            sum(|view| view.seconds),
+            sum(|view| view.write_seconds),
+        ));
+        match (first.files.first(), last.files.last()) {
+            (Some(from), Some(to)) if self.views.len() > 1 => {
+                say(format_args!("  wrote    {} to {}", from.display(), to.display()));
+            }
+            _ => first.say_where(),
+        }
+        if most == 0.0 {
+            note("nothing of the map is seen from there");
+        }
+    }
+}
+
+/// The name of a picture: that of `--output`, with the view's number if there are several, and the kind's name likewise.
+fn name(output: &Path, view: usize, views: usize, kind: ImageKind, kinds: usize) -> PathBuf {
+    let mut stem = output.file_stem().unwrap_or_default().to_os_string();
+    if views > 1 {
+        let digits = (views - 1).to_string().len().max(2);
+        stem.push(format!("-{view:0digits$}"));
+    }
+    if kinds > 1 {
+        stem.push(format!("-{}", kind.name()));
+    }
+    stem.push(".");
+    stem.push(output.extension().unwrap_or_default());
+    output.with_file_name(stem)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_numbered_and_say_what_they_show_where_they_must() {
+        let named = |view, views, kinds| {
+            let path = name(Path::new("a.b/view.x.PNG"), view, views, ImageKind::Depth, kinds);
+            path.to_str().unwrap().to_owned()
+        };
+        assert_eq!(named(0, 1, 1), "a.b/view.x.PNG");
+        assert_eq!(named(0, 1, 2), "a.b/view.x-depth.PNG");
+        assert_eq!(named(7, 10, 1), "a.b/view.x-07.PNG");
+        assert_eq!(named(7, 101, 2), "a.b/view.x-007-depth.PNG");
+    }
+}

@@ -1,0 +1,191 @@
+//! From where a map is looked at, as it stands on the command line.
+
+use std::path::Path;
+use std::str::FromStr;
+
+use anyhow::{Context, Result};
+use glam::{DQuat, DVec3};
+use tsdfuse::Pose;
+use tsdfuse::render::{Renderer, overview, turntable};
+use tsdfuse::sensor::Pinhole;
+use tsdfuse_io::rgbd::OPTICAL_FROM_SENSOR;
+
+use super::Args;
+use crate::exit::Usage;
+
+/// More pixels in a row than any screen has; bounds the memory of a view.
+const MAX_EDGE: u32 = 8192;
+
+/// From where a map is looked at.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Look {
+    /// From each of these poses, `world_from_camera`.
+    From(Vec<Pose>),
+    /// From as many places around all of it.
+    Around(usize),
+    /// From where all of it is seen.
+    Overview,
+}
+
+impl Look {
+    /// What the arguments say; pose files are read.
+    pub(super) fn of(args: &Args) -> Result<Self> {
+        if let Some(views) = args.views {
+            return Ok(Self::Around(views.into()));
+        }
+        if let (Some(from), Some(to)) = (args.from, args.to) {
+            return Ok(Self::From(vec![towards(from, to)?]));
+        }
+        let mut poses = match (&args.pose, &args.poses) {
+            (Some(text), _) => vec![pose(text)?],
+            (_, Some(file)) => tsdfuse_io::poses::read_all(file)?,
+            _ => return Ok(Self::Overview),
+        };
+        if args.optical {
+            poses.iter_mut().for_each(|pose| *pose = *pose * OPTICAL_FROM_SENSOR);
+        }
+        Ok(Self::From(poses))
+    }
+
+    /// The poses; `camera` is what must have the whole map in its image.
+    pub(super) fn poses(self, renderer: &Renderer, camera: &Pinhole) -> Vec<Pose> {
+        match self {
+            Self::From(poses) => poses,
+            Self::Around(views) => turntable(renderer, camera, views),
+            Self::Overview => overview(renderer, camera).into_iter().collect(),
+        }
+    }
+}
+
+/// The pose at `from` that looks at `to`, upright.
+fn towards(from: DVec3, to: DVec3) -> Result<Pose> {
+    let way = to - from;
+    let direction = way
+        .try_normalize()
+        .ok_or_else(|| Usage::new("--from and --to are the same place"))?;
+    let (yaw, pitch) = (direction.y.atan2(direction.x), direction.z.clamp(-1.0, 1.0).asin());
+    Ok(Pose {
+        rotation: rotation(yaw, pitch, 0.0),
+        translation: from,
+    })
+}
+
+/// Turned to the left by `yaw`, then up by `pitch`, then with the right side down by `roll`.
+fn rotation(yaw_rad: f64, pitch_rad: f64, roll_rad: f64) -> DQuat {
+    DQuat::from_rotation_z(yaw_rad) * DQuat::from_rotation_y(-pitch_rad) * DQuat::from_rotation_x(roll_rad)
+}
+
+/// A pose in numbers, or in a file that holds one.
+fn pose(text: &str) -> Result<Pose> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    if let Some(numbers) = numbers {
+        let [x, y, z, angles_deg @ ..] = numbers.as_slice() else {
+            return Err(wrong_pose(text).into());
+        };
+        if angles_deg.len() > 3 || !numbers.iter().all(|n| n.is_finite()) {
+            return Err(wrong_pose(text).into());
+        }
+        let angle = |i: usize| angles_deg.get(i).copied().unwrap_or(0.0).to_radians();
+        return Ok(Pose {
+            rotation: rotation(angle(0), angle(1), angle(2)),
+            translation: DVec3::new(*x, *y, *z),
+        });
+    }
+    if !Path::new(text).exists() {
+        return Err(wrong_pose(text).into());
+    }
+    let poses = tsdfuse_io::poses::read_all(text)?;
+    match poses.as_slice() {
+        [pose] => Ok(*pose),
+        poses => Err(Usage::new(format_args!(
+            "{text}: holds {} poses; --poses renders them all",
+            poses.len()
+        ))
+        .into()),
+    }
+}
+
+fn wrong_pose(text: &str) -> Usage {
+    Usage::new(format_args!(
+        "--pose {text}: neither X,Y,Z[,YAW[,PITCH[,ROLL]]] in metres and degrees nor a file"
+    ))
+}
+
+/// The size of a picture: `640x480`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Size {
+    pub(super) width: u32,
+    pub(super) height: u32,
+}
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let edge = |text: &str| text.trim().parse().ok().filter(|n| (1..=MAX_EDGE).contains(n));
+        let both = text
+            .split_once(['x', 'X'])
+            .and_then(|(w, h)| Some((edge(w)?, edge(h)?)));
+        let (width, height) =
+            both.ok_or_else(|| format!("WIDTHxHEIGHT is wanted, as in 640x480, each from 1 to {MAX_EDGE} pixels"))?;
+        Ok(Self { width, height })
+    }
+}
+
+/// A camera with this field of view across.
+pub(super) fn pinhole(size: Size, fov_deg: f32) -> Result<Pinhole> {
+    if !(1.0..=170.0).contains(&fov_deg) {
+        return Err(Usage::new(format_args!("--fov must be from 1 to 170 degrees, not {fov_deg}")).into());
+    }
+    let camera = Pinhole::with_fov(size.width, size.height, fov_deg.to_radians());
+    camera.check().context("the camera")?;
+    Ok(camera)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn angles_turn_left_up_and_the_right_side_down() {
+        let axes = |text: &str| {
+            let pose = pose(text).unwrap();
+            assert_eq!(pose.translation, DVec3::new(1.0, -2.0, 3.5));
+            [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| (pose.rotation * axis * 1e6).round() / 1e6)
+        };
+        assert_eq!(axes("1,-2,3.5"), [DVec3::X, DVec3::Y, DVec3::Z]);
+        assert_eq!(axes("1, -2, 3.5, 90"), [DVec3::Y, -DVec3::X, DVec3::Z]);
+        assert_eq!(axes("1,-2,3.5,0,90"), [DVec3::Z, DVec3::Y, -DVec3::X]);
+        assert_eq!(axes("1,-2,3.5,0,0,90"), [DVec3::X, DVec3::Z, -DVec3::Y]);
+    }
+
+    #[test]
+    fn looking_somewhere_is_upright() {
+        for to in [
+            DVec3::new(4.0, 5.0, -1.0),
+            DVec3::new(1.0, 2.0, -10.0),
+            DVec3::new(-7.0, 0.0, 3.0),
+        ] {
+            let from = DVec3::new(1.0, 2.0, 3.0);
+            let pose = towards(from, to).unwrap();
+            let ahead = pose.inverse().transform_point(to);
+            assert!((ahead / from.distance(to)).distance(DVec3::X) < 1e-9, "{ahead}");
+            assert!((pose.rotation * DVec3::Y).z.abs() < 1e-9);
+        }
+        assert!(towards(DVec3::ONE, DVec3::ONE).unwrap_err().is::<Usage>());
+    }
+
+    #[test]
+    fn sizes_are_two_numbers() {
+        assert_eq!(
+            "640x480".parse(),
+            Ok(Size {
+                width: 640,
+                height: 480
+            })
+        );
+        for bad in ["", "640", "640x", "0x5", "9000x9000", "-1x5", "640x480x3"] {
+            assert!(bad.parse::<Size>().unwrap_err().contains("as in 640x480"), "{bad}");
+        }
+    }
+}
