@@ -2,27 +2,31 @@
 //!
 //! ```text
 //! cargo bench -p tsdfuse-cli --bench methods -- [--runs N] [--scenes street,hall] [--methods raycast,normals] [--quick]
+//!                                               [--pictures docs/images]
 //! ```
 //!
 //! The command itself does the work, `tsdfuse fuse --report`; its map is then measured here.
 
 mod measure;
+mod pictures;
 mod table;
 mod truth;
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use serde_json::Value;
+use tsdfuse::Mesh;
 use tsdfuse::fuse::Method;
 use tsdfuse::glam::DVec3;
 use tsdfuse::mesh::{self, MeshConfig};
 use tsdfuse_sim::NoiseModel;
 
+use pictures::Sheet;
 use table::{Row, Run, median};
 use truth::{SEQUENCES, Sequence};
 
@@ -53,6 +57,9 @@ struct Args {
     /// One run of a quarter of the scans: to see whether all works.
     #[arg(long)]
     quick: bool,
+    /// Draw the meshes into methods-SCENE.png in this folder.
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
     /// What cargo says.
     #[arg(long, hide = true)]
     bench: bool,
@@ -81,10 +88,13 @@ fn main() -> Result<()> {
 fn compare(args: &Args, sequence: &Sequence) -> Result<()> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let data = sequence.written(folder)?;
+    let truth = sequence.simulator(NoiseModel::none())?.scene().clone();
+    let mut drawn = vec!["true surface".to_owned()];
+    let mut sheet = args.pictures.is_some().then(|| Sheet::new(&truth, &sequence.views));
     let bench = Bench {
         data: data.to_string_lossy().into_owned(),
         runs: if args.quick { 1 } else { args.runs },
-        truth: sequence.simulator(NoiseModel::none())?.scene().clone(),
+        truth,
         hits: sequence.hits(TOLERANCE_M)?,
     };
     let Sequence {
@@ -105,9 +115,24 @@ fn compare(args: &Args, sequence: &Sequence) -> Result<()> {
             _ => format!("`{}`, {form}", method.name()),
         };
         match bench.row(method, &name, settings) {
-            Ok(row) => print(&row.line())?,
+            Ok((row, mesh)) => {
+                print(&row.line())?;
+                sheet.iter_mut().for_each(|sheet| sheet.add(&mesh));
+                drawn.push(name);
+            }
             Err(error) => say(&format!("{scene}: {name}: {error:#}")),
         }
+    }
+    if let Some((folder, sheet)) = args.pictures.as_ref().zip(sheet) {
+        // Cargo runs benches in the package's folder, people call it from the workspace's.
+        let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let path = workspace.join(folder).join(format!("methods-{scene}.png"));
+        sheet.write(&path).with_context(|| path.display().to_string())?;
+        say(&format!(
+            "{}: row by row, two views of each: {}",
+            path.display(),
+            drawn.join(", ")
+        ));
     }
     Ok(())
 }
@@ -121,7 +146,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn row(&self, method: Method, name: &str, settings: &[&str]) -> Result<Row> {
+    fn row(&self, method: Method, name: &str, settings: &[&str]) -> Result<(Row, Mesh)> {
         let start = Instant::now();
         let [mesh, map, report] = ["mesh.ply", "map.tsdf", "report.json"].map(|n| format!("{}.{n}", self.data));
         let mut arguments = vec!["fuse", &self.data, "--method", method.name(), "-o", &mesh];
@@ -148,7 +173,7 @@ impl Bench {
             "{name}: {fused:.1?} for {} runs, {measured:.1?} for measuring",
             self.runs
         ));
-        Ok(row)
+        Ok((row, mesh))
     }
 }
 

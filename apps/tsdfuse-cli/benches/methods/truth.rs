@@ -9,6 +9,7 @@ use tsdfuse::glam::DVec3;
 use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
 
 use crate::measure::cell;
+use crate::pictures::View;
 use crate::run_tsdfuse;
 
 /// What `tsdfuse simulate` is asked for; all else is its default.
@@ -18,6 +19,8 @@ pub(crate) struct Sequence {
     pub(crate) sensor: &'static str,
     pub(crate) path: &'static str,
     pub(crate) scans: usize,
+    /// For pictures.
+    pub(crate) views: [View; 2],
 }
 
 pub(crate) const SEQUENCES: [Sequence; 2] = [
@@ -26,12 +29,34 @@ pub(crate) const SEQUENCES: [Sequence; 2] = [
         sensor: "pandar64",
         path: "vehicle",
         scans: 80,
+        // Stairs, poles, a bench; road that the sensor saw from afar.
+        views: [
+            View {
+                from: DVec3::new(-8.5, 1.0, 2.6),
+                to: DVec3::new(-1.5, 9.0, 1.2),
+            },
+            View {
+                from: DVec3::new(37.0, 0.0, 2.6),
+                to: DVec3::new(52.0, 0.5, 0.0),
+            },
+        ],
     },
     Sequence {
         scene: "hall",
         sensor: "os0-128",
         path: "drone",
         scans: 70,
+        // Shelves; stairs.
+        views: [
+            View {
+                from: DVec3::new(3.5, -1.0, 2.6),
+                to: DVec3::new(-2.0, -6.5, 1.6),
+            },
+            View {
+                from: DVec3::new(-4.5, 2.0, 2.8),
+                to: DVec3::new(-11.0, 6.5, 1.6),
+            },
+        ],
     },
 ];
 
