@@ -40,6 +40,7 @@ const SAMPLES: usize = 1_000_000;
 const FORMS: &[(Method, &str, &[&str])] = &[
     (Method::Raycast, "projective", &["raycast.distance=projective"]),
     (Method::Normals, "Holz", &["normals.estimator=holz"]),
+    (Method::Surfel, "ground flip", &["surfel.ground_flip=true"]),
 ];
 
 /// Compare all methods on simulated sequences.

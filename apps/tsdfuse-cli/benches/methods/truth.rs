@@ -53,8 +53,8 @@ pub(crate) const SEQUENCES: [Sequence; 2] = [
                 to: DVec3::new(-2.0, -6.5, 1.6),
             },
             View {
-                from: DVec3::new(-4.5, 2.0, 2.8),
-                to: DVec3::new(-11.0, 6.5, 1.6),
+                from: DVec3::new(-5.2, 2.6, 2.5),
+                to: DVec3::new(-8.2, 7.0, 1.6),
             },
         ],
     },
