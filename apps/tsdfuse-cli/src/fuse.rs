@@ -19,7 +19,7 @@ use crate::mesh::surface;
 use crate::progress::{self, note, say};
 use crate::render::preview;
 use crate::report::{
-    DatasetReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, left_out, peak_memory_bytes,
+    DatasetReport, FinishReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, left_out, peak_memory_bytes,
     print_json,
 };
 
@@ -48,6 +48,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     };
     let fusing = Instant::now();
     fusion.fuse_all(&dataset, indices, args)?;
+    let finish = fusion.finish();
     let fusing_seconds = fusing.elapsed().as_secs_f64();
     let save = |path| SavedMap::write(&fusion.map, path);
     let saved_map = args.save_map.as_deref().map(save).transpose()?;
@@ -72,6 +73,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         totals: Totals {
             scans: fusion.scans.len(),
             sums: fusion.sums(),
+            finish,
             seconds: fusing_seconds,
         },
         map: MapReport::of(&fusion.map),
@@ -157,6 +159,16 @@ impl Fusion {
             },
             updated_blocks: done.updated_blocks.len(),
         })
+    }
+
+    /// Lets a method that collects scans fuse them.
+    fn finish(&mut self) -> FinishReport {
+        let start = Instant::now();
+        let done = self.integrator.finish(&mut self.map);
+        FinishReport {
+            seconds: start.elapsed().as_secs_f64(),
+            updated_blocks: done.updated_blocks.len(),
+        }
     }
 
     fn skip(&mut self, name: &str, reason: String, bar: &ProgressBar) {

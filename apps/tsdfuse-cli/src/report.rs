@@ -97,7 +97,9 @@ pub(crate) struct Totals {
     pub(crate) scans: usize,
     #[serde(flatten)]
     pub(crate) sums: Sums,
-    /// From the first scan to the last, waiting for files included.
+    /// What a method that collects scans did after the last one.
+    pub(crate) finish: FinishReport,
+    /// From the first scan to the last and the finish, waiting for files included.
     pub(crate) seconds: f64,
 }
 
@@ -106,6 +108,14 @@ pub(crate) struct Totals {
 pub(crate) struct SkippedScan {
     pub(crate) name: String,
     pub(crate) reason: String,
+}
+
+/// What was done after the last scan.
+#[derive(Debug, Default, Serialize)]
+pub(crate) struct FinishReport {
+    pub(crate) seconds: f64,
+    /// Blocks of the map that were made or updated.
+    pub(crate) updated_blocks: usize,
 }
 
 /// The map after the last scan.
@@ -219,7 +229,7 @@ impl Report {
 
     /// The few lines for people, on standard error.
     pub(crate) fn summarize(&self) {
-        let Totals { scans, sums, seconds } = &self.totals;
+        let Totals { scans, sums, finish, seconds } = &self.totals;
         let rate = *scans as f64 / seconds;
         say(format_args!("{scans} scans fused in {seconds:.2} s, {rate:.1} scans/s"));
         let (points, fused) = (HumanCount(sums.points), HumanCount(sums.fused));
@@ -228,10 +238,14 @@ impl Report {
         let (saved, mesh) = (self.saved_map.as_ref(), self.mesh.as_ref());
         mesh.inspect(|mesh| mesh.summarize());
         say(format_args!(
-            "  seconds  read {:.2} (in the background), prepare {:.2}, fuse {:.2}{}{}; in all {:.2}",
+            "  seconds  read {:.2} (in the background), prepare {:.2}, fuse {:.2}{}{}{}; in all {:.2}",
             sums.read,
             sums.prepare,
             sums.fuse,
+            match finish {
+                FinishReport { updated_blocks: 0, .. } => String::new(),
+                FinishReport { seconds, .. } => format!(", finish {seconds:.2}"),
+            },
             saved.map_or(String::new(), |map| format!(", save map {:.2}", map.seconds)),
             mesh.map_or(String::new(), |mesh| format!(
                 ", mesh {:.2}, write {:.2}",

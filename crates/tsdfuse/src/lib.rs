@@ -37,7 +37,7 @@ pub mod scan;
 pub mod sensor;
 pub mod surfel;
 
-pub use fuse::{Integration, Integrator, Normals, Raycast, Surfels};
+pub use fuse::{Integration, Integrator, Normals, Raycast, Roldao, Surfels};
 pub use glam;
 pub use map::{MapConfig, VoxelMap};
 pub use mesh::Mesh;

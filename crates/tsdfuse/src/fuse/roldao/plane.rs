@@ -1,0 +1,157 @@
+//! The plane through the points of a neighbourhood, and how well it speaks for a vertex: (4.4)–(4.7).
+
+use glam::{DVec3, Vec3, Vec4};
+
+use super::cells::STEPS;
+
+/// Vertices that are looked at together.
+pub(super) const LANES: usize = 4;
+
+/// Σ 1, Σ x, Σ y, Σ z, Σ xx, Σ yy, Σ zz, Σ xy, Σ xz, Σ yz of positions in steps: whole numbers.
+pub(super) type Moments = [f64; 10];
+
+/// Points whose second largest standard deviation is less than this, in voxels, lie on a line and span no plane.
+const MIN_SPREAD: f32 = 0.01;
+
+/// A symmetric matrix of each lane: xx, yy, zz, xy, xz, yz.
+type Symmetric = [Vec4; 6];
+
+/// A neighbourhood in each of four lanes, and the vertex it is to speak for.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Neighbourhoods {
+    /// Covariance of the points, voxels².
+    covariance: [[f32; LANES]; 6],
+    /// From the points' mean to the vertex, voxels.
+    from_mean: [[f32; LANES]; 3],
+}
+
+/// What is known of the plane in each lane.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Planes {
+    /// Whether the density at the vertex's projection is high enough (4.6), as bits.
+    pub(super) accepted: u32,
+    /// The adjugate of the covariance less its smallest eigenvalue: a multiple of e₃ e₃ᵀ.
+    adjugate: Symmetric,
+    from_mean: [Vec4; 3],
+}
+
+impl Neighbourhoods {
+    /// Sets one lane: a neighbourhood's moments, and a vertex in voxels from the same origin.
+    #[inline]
+    pub(super) fn set(&mut self, lane: usize, m: &Moments, vertex: DVec3) {
+        const STEP: f64 = 1.0 / STEPS as f64;
+        let to_mean = STEP / m[0];
+        let scale = to_mean * to_mean;
+        // n·Σxy − Σx·Σy is exact where it fits 53 bits: no digits are lost far from the origin.
+        let covariance = [
+            m[0] * m[4] - m[1] * m[1],
+            m[0] * m[5] - m[2] * m[2],
+            m[0] * m[6] - m[3] * m[3],
+            m[0] * m[7] - m[1] * m[2],
+            m[0] * m[8] - m[1] * m[3],
+            m[0] * m[9] - m[2] * m[3],
+        ];
+        for (of, value) in self.covariance.iter_mut().zip(covariance) {
+            of[lane] = (value * scale) as f32;
+        }
+        let from_mean = vertex - DVec3::new(m[1], m[2], m[3]) * to_mean;
+        for (of, value) in self.from_mean.iter_mut().zip(from_mean.to_array()) {
+            of[lane] = value as f32;
+        }
+    }
+
+    /// Principal component analysis of each lane, and the test of the Gaussian in the plane against `min_density` (per
+    /// voxel²).
+    ///
+    /// With C scaled to trace 1 only its smallest eigenvalue λ₃ is needed. The other two have the sum 1 − λ₃ and the product
+    /// det₂ = c₁ − λ₃(1 − λ₃), c₁ being the sum of C's principal minors; and for w in the plane
+    /// wᵀΣ⁻¹w = ((1 − λ₃)·w² − wᵀCw)/det₂.
+    pub(super) fn planes(&self, min_density: f64) -> Planes {
+        let threshold = (std::f64::consts::TAU * min_density).powi(2) as f32;
+        let c = self.covariance.map(Vec4::from);
+        let d = self.from_mean.map(Vec4::from);
+        let trace = (c[0] + c[1] + c[2]).max(Vec4::splat(1e-12));
+        let unit = Vec4::ONE / trace;
+        let c = c.map(|c| c * unit);
+        let [xx, yy, zz, xy, xz, yz] = c;
+        let minors = [yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy];
+        let c1 = minors[0] + minors[1] + minors[2];
+        let det = xx * minors[0] + xy * (xz * yz - xy * zz) + xz * (xy * yz - yy * xz);
+
+        let l3 = smallest_root(c1, det);
+        let sum = Vec4::ONE - l3;
+        let det2 = c1 - l3 * sum;
+        let adjugate = [
+            minors[0] - l3 * (yy + zz - l3),
+            minors[1] - l3 * (xx + zz - l3),
+            minors[2] - l3 * (xx + yy - l3),
+            xz * yz - xy * (zz - l3),
+            xy * yz - xz * (yy - l3),
+            xy * xz - yz * (xx - l3),
+        ];
+        // λ₂ ≥ ε means (λ₁ − ε)(λ₂ − ε) ≥ 0.
+        let eps = unit * (MIN_SPREAD * MIN_SPREAD);
+        let spans = det2.cmpge(eps * (sum - eps));
+
+        let tiny = Vec4::splat(1e-30);
+        let across2 = quadratic(&adjugate, &d) / (adjugate[0] + adjugate[1] + adjugate[2]).max(tiny);
+        let within2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] - across2;
+        let spread2 = (sum * within2 - quadratic(&c, &d) + l3 * across2) * unit / det2.max(tiny);
+        // exp(−q/2)/(2π√det Σ) ≥ τ (4.6), squared: exp(q)·(2πτ)²·det Σ ≤ 1.
+        let inverse2 = exp(spread2.clamp(Vec4::ZERO, Vec4::splat(64.0))) * det2 * trace * trace * threshold;
+        Planes {
+            accepted: (spans & inverse2.cmple(Vec4::ONE)).bitmask(),
+            adjugate,
+            from_mean: d,
+        }
+    }
+}
+
+impl Planes {
+    /// The unit normal e₃ of a lane's plane, either way round, and the distance (4.7) of its vertex along it, in voxels.
+    pub(super) fn plane(&self, lane: usize) -> (Vec3, f32) {
+        let [xx, yy, zz, xy, xz, yz] = self.adjugate.map(|of| of[lane]);
+        // The longest column of the adjugate.
+        let column = if xx >= yy && xx >= zz {
+            Vec3::new(xx, xy, xz)
+        } else if yy >= zz {
+            Vec3::new(xy, yy, yz)
+        } else {
+            Vec3::new(xz, yz, zz)
+        };
+        let normal = column.normalize_or_zero();
+        (normal, normal.dot(self.from_mean.map(|of| of[lane]).into()))
+    }
+}
+
+/// vᵀMv.
+#[inline(always)]
+fn quadratic(m: &Symmetric, v: &[Vec4; 3]) -> Vec4 {
+    let squares = m[0] * v[0] * v[0] + m[1] * v[1] * v[1] + m[2] * v[2] * v[2];
+    squares + 2.0 * (m[3] * v[0] * v[1] + m[4] * v[0] * v[2] + m[5] * v[1] * v[2])
+}
+
+/// The smallest root of x³ − x² + c₁x − det, which has three real ones ≥ 0: Laguerre's method, which from 0 rises to it.
+#[inline(always)]
+fn smallest_root(c1: Vec4, det: Vec4) -> Vec4 {
+    let mut x = Vec4::ZERO;
+    for _ in 0..4 {
+        let p = ((x - 1.0) * x + c1) * x - det;
+        let p1 = (3.0 * x - 2.0) * x + c1;
+        let p2 = 6.0 * x - 2.0;
+        let root = (4.0 * p1 * p1 - 6.0 * p * p2).max(Vec4::ZERO).sqrt();
+        x -= 3.0 * p.min(Vec4::ZERO) / (p1 + root).max(Vec4::splat(1e-30));
+    }
+    x
+}
+
+/// e^x for 0 ≤ x ≤ 64, the same on every machine: a series for x/256, squared eight times.
+#[inline(always)]
+fn exp(x: Vec4) -> Vec4 {
+    let x = x * (1.0 / 256.0);
+    let mut y = 1.0 + x * (1.0 + x * (1.0 / 2.0) * (1.0 + x * (1.0 / 3.0) * (1.0 + x * (1.0 / 4.0))));
+    for _ in 0..8 {
+        y *= y;
+    }
+    y
+}
