@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
-use tsdfuse::fuse::{CaminalConfig, FuseConfig, Method, RaycastConfig};
+use tsdfuse::fuse::{CaminalConfig, FuseConfig, Method, RaycastConfig, RoldaoConfig};
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
@@ -35,6 +35,8 @@ pub(crate) struct RunConfig {
     pub(crate) surfel: SurfelConfig,
     /// Options of the method `caminal`.
     pub(crate) caminal: CaminalConfig,
+    /// Options of the method `roldao`.
+    pub(crate) roldao: RoldaoConfig,
     /// What becomes surface.
     pub(crate) mesh: MeshConfig,
 }
@@ -47,6 +49,7 @@ impl RunConfig {
             normals: self.normals,
             surfel: self.surfel,
             caminal: self.caminal,
+            roldao: self.roldao,
         }
     }
 

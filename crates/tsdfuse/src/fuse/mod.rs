@@ -16,6 +16,7 @@ mod normals;
 mod pierced;
 mod placed;
 mod raycast;
+mod roldao;
 mod scatter;
 mod surfel;
 
@@ -27,6 +28,7 @@ pub use depth::Depth;
 pub use kuehner::Kuehner;
 pub use normals::Normals;
 pub use raycast::{Distance, Raycast, RaycastConfig};
+pub use roldao::{Form, Roldao, RoldaoConfig};
 pub use surfel::Surfels;
 
 use crate::{
@@ -53,6 +55,8 @@ pub enum Method {
     Depth,
     /// [`Caminal`].
     Caminal,
+    /// [`Roldao`].
+    Roldao,
 }
 
 /// The options of all methods.
@@ -67,6 +71,8 @@ pub struct FuseConfig {
     pub surfel: SurfelConfig,
     /// Options of [`Caminal`].
     pub caminal: CaminalConfig,
+    /// Options of [`Roldao`].
+    pub roldao: RoldaoConfig,
 }
 
 impl FuseConfig {
@@ -77,7 +83,8 @@ impl FuseConfig {
     pub fn validate(&self) -> Result<(), FuseError> {
         self.normals.validate().map_err(|e| FuseError::Config(e.to_string()))?;
         self.surfel.validate().map_err(|e| FuseError::Config(e.to_string()))?;
-        self.caminal.validate()
+        self.caminal.validate()?;
+        self.roldao.validate()
     }
 }
 
@@ -91,6 +98,7 @@ impl Method {
         Self::Kuehner,
         Self::Depth,
         Self::Caminal,
+        Self::Roldao,
     ];
 
     /// The name on the command line.
@@ -103,6 +111,7 @@ impl Method {
             Self::Kuehner => "kuehner",
             Self::Depth => "depth",
             Self::Caminal => "caminal",
+            Self::Roldao => "roldao",
         }
     }
 
@@ -117,6 +126,7 @@ impl Method {
             Self::Kuehner => Box::new(Kuehner::new(sensor.cloned())),
             Self::Depth => Box::<Depth>::default(),
             Self::Caminal => Box::new(Caminal::new(config.caminal, sensor.cloned())),
+            Self::Roldao => Box::new(Roldao::new(config.roldao)),
         }
     }
 }

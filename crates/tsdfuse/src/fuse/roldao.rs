@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use self::{
     cells::{CellBlock, Cells},
     near::{Around, MAX_LEVEL, Sums},
-    plane::{LANES, Neighbourhoods},
+    plane::{LANES, Limits, Neighbourhoods},
 };
 use super::{
     FuseError, Integration, Integrator,
@@ -47,6 +47,9 @@ pub struct RoldaoConfig {
     pub max_level: usize,
     /// τ (4.6), per m².
     pub min_density: f64,
+    /// Points whose second largest standard deviation is less than this span no plane: more than the noise of ranges leaves
+    /// out single scan lines, which have no normal of their own. 0: the paper's form.
+    pub min_spread_m: f64,
 }
 
 impl Default for RoldaoConfig {
@@ -56,6 +59,7 @@ impl Default for RoldaoConfig {
             min_points: 8,
             max_level: 4,
             min_density: 2.0,
+            min_spread_m: 0.0,
         }
     }
 }
@@ -68,13 +72,21 @@ impl RoldaoConfig {
     pub fn validate(&self) -> Result<(), FuseError> {
         let wrong = |reason: String| Err(FuseError::Config(reason));
         if !(3..=1 << 20).contains(&self.min_points) {
-            return wrong(format!("roldao.min_points must be 3 to 1048576, not {}", self.min_points));
+            return wrong(format!(
+                "roldao.min_points must be 3 to 1048576, not {}",
+                self.min_points
+            ));
         }
         if !(1..=MAX_LEVEL).contains(&self.max_level) {
-            return wrong(format!("roldao.max_level must be 1 to {MAX_LEVEL}, not {}", self.max_level));
+            return wrong(format!(
+                "roldao.max_level must be 1 to {MAX_LEVEL}, not {}",
+                self.max_level
+            ));
         }
-        if !(self.min_density >= 0.0 && self.min_density.is_finite()) {
-            return wrong(format!("roldao.min_density must be 0 or more per m², not {}", self.min_density));
+        for (name, value) in [("min_density", self.min_density), ("min_spread_m", self.min_spread_m)] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return wrong(format!("roldao.{name} must be 0 or more, not {value}"));
+            }
         }
         Ok(())
     }
@@ -105,7 +117,10 @@ impl Roldao {
         let method = Method {
             config: &self.config,
             truncation: map.config().truncation_vox(),
-            min_density_vox: self.config.min_density * voxel_size_m * voxel_size_m,
+            limits: Limits {
+                min_density: (self.config.min_density * voxel_size_m * voxel_size_m) as f32,
+                min_spread: ((self.config.min_spread_m / voxel_size_m) as f32).max(LEAST_SPREAD),
+            },
         };
         let blocks = self.cells.blocks();
         let name = |i: usize, near: &mut super::gather::Near| {
@@ -122,12 +137,18 @@ impl Roldao {
             }
             Ok(())
         };
-        self.gather.run(map, blocks.len(), name, |_| false, |block, named, updates| {
-            SCRATCH.with_borrow_mut(|scratch| {
-                let items = named.iter().map(|&(_, i)| blocks[i as usize]);
-                method.update(block, items, scratch, updates);
-            });
-        })
+        self.gather.run(
+            map,
+            blocks.len(),
+            name,
+            |_| false,
+            |block, named, updates| {
+                SCRATCH.with_borrow_mut(|scratch| {
+                    let items = named.iter().map(|&(_, i)| blocks[i as usize]);
+                    method.update(block, items, scratch, updates);
+                });
+            },
+        )
     }
 }
 
@@ -156,11 +177,17 @@ impl Integrator for Roldao {
             Form::Batch => {
                 let done = self.write(map);
                 self.cells = Cells::default();
-                Integration { fused_returns: 0, ..done }
+                Integration {
+                    fused_returns: 0,
+                    ..done
+                }
             }
         }
     }
 }
+
+/// Below this, in voxels, a spread is rounding: the points lie on a line.
+const LEAST_SPREAD: f32 = 0.01;
 
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
@@ -176,7 +203,7 @@ struct Scratch {
 struct Method<'a> {
     config: &'a RoldaoConfig,
     truncation: f32,
-    min_density_vox: f64,
+    limits: Limits,
 }
 
 impl Method<'_> {
@@ -189,7 +216,9 @@ impl Method<'_> {
     ) {
         const EDGE: usize = BLOCK_EDGE as usize;
         let Scratch { sums, queue } = scratch;
-        let &RoldaoConfig { min_points, max_level, .. } = self.config;
+        let &RoldaoConfig {
+            min_points, max_level, ..
+        } = self.config;
         let around = Around::new(block, items, max_level);
         if around.points() < u64::from(min_points) {
             return;
@@ -200,7 +229,9 @@ impl Method<'_> {
         for k in 1..=max_level {
             queue.clear();
             for (number, left) in undecided.iter().enumerate().filter(|(_, left)| **left != 0) {
-                let Some(rows) = sums.rows(k, number % EDGE, number / EDGE) else { continue };
+                let Some(rows) = sums.rows(k, number % EDGE, number / EDGE) else {
+                    continue;
+                };
                 let mut bits = left & sums.crowded(k, rows, min_points as i32); // (4.4)
                 while bits != 0 {
                     queue.push((bits.trailing_zeros() as u8, number as u8, rows));
@@ -212,7 +243,7 @@ impl Method<'_> {
                     let vertex = DVec3::new(f64::from(x), f64::from(row % 8), f64::from(row / 8)) - 3.5;
                     neighbourhoods.set(lane, &sums.moments(k, x.into(), rows), vertex);
                 }
-                let planes = neighbourhoods.planes(self.min_density_vox);
+                let planes = neighbourhoods.planes(&self.limits);
                 for (lane, &(x, row, rows)) in vertices.iter().enumerate() {
                     if planes.accepted >> lane & 1 == 0 {
                         continue;
@@ -227,7 +258,11 @@ impl Method<'_> {
                         side => side > 0,
                     };
                     let distance = if facing { distance } else { -distance };
-                    updates.add(usize::from(row) * EDGE + usize::from(x), distance / self.truncation, 1.0);
+                    updates.add(
+                        usize::from(row) * EDGE + usize::from(x),
+                        distance / self.truncation,
+                        1.0,
+                    );
                 }
             }
         }

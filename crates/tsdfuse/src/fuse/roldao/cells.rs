@@ -111,7 +111,10 @@ impl CellBlock {
         }
         let rows = rows.to_le_bytes();
         let columns = rows.iter().fold(0, |all, row| all | row);
-        let lines = rows.iter().enumerate().fold(0, |all, (y, &row)| all | u8::from(row != 0) << y);
+        let lines = rows
+            .iter()
+            .enumerate()
+            .fold(0, |all, (y, &row)| all | u8::from(row != 0) << y);
         let low = [columns, lines, planes].map(|bits| bits.trailing_zeros() as i32);
         let high = [columns, lines, planes].map(|bits| 7 - bits.leading_zeros() as i32);
         (low.into(), high.into())
@@ -222,6 +225,10 @@ impl Cells {
 
     /// All blocks with points.
     pub(super) fn blocks(&self) -> Vec<(BlockIndex, &CellBlock)> {
-        self.shards.iter().flatten().map(|(&index, block)| (index, block)).collect()
+        self.shards
+            .iter()
+            .flatten()
+            .map(|(&index, block)| (index, block))
+            .collect()
     }
 }

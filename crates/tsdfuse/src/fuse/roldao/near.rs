@@ -112,7 +112,9 @@ impl Sums {
         self.size = extent.to_array().map(|n| n as usize + 1);
         let middle = low - (reach as i32 - 1) - BLOCK_EDGE / 2;
         sum_up(&mut self.counts, self.size, around, |_, cell| [cell.count as i32]);
-        sum_up(&mut self.moments, self.size, around, |at, cell| moments_about(at + middle, cell));
+        sum_up(&mut self.moments, self.size, around, |at, cell| {
+            moments_about(at + middle, cell)
+        });
         self.towards.clear();
     }
 
@@ -136,11 +138,13 @@ impl Sums {
             sums[x] = a[x][0] - b[x][0] - c[x][0] + d[x][0];
         }
         let ranges = self.ranges[0][k - 1].iter().enumerate();
-        ranges.fold(0, |bits, (x, &(x0, x1))| bits | u8::from(sums[x1] - sums[x0] >= min_points) << x)
+        ranges.fold(0, |bits, (x, &(x0, x1))| {
+            bits | u8::from(sums[x1] - sums[x0] >= min_points) << x
+        })
     }
 
     /// The moments of the cells of level `k` of vertex `x` of a row.
-    #[inline]
+    #[inline(never)] // so that the compiler adds in vectors
     pub(super) fn moments(&self, k: usize, x: usize, rows: [usize; 4]) -> Moments {
         cube(&self.moments, rows, self.ranges[0][k - 1][x])
     }
@@ -149,7 +153,9 @@ impl Sums {
     #[inline]
     pub(super) fn towards(&mut self, around: &Around, k: usize, x: usize, rows: [usize; 4]) -> DVec3 {
         if self.towards.is_empty() {
-            sum_up(&mut self.towards, self.size, around, |_, cell| cell.towards.map(|v| v as f64));
+            sum_up(&mut self.towards, self.size, around, |_, cell| {
+                cell.towards.map(|v| v as f64)
+            });
         }
         cube(&self.towards, rows, self.ranges[0][k - 1][x]).into()
     }

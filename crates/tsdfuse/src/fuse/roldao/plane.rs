@@ -10,8 +10,17 @@ pub(super) const LANES: usize = 4;
 /// Σ 1, Σ x, Σ y, Σ z, Σ xx, Σ yy, Σ zz, Σ xy, Σ xz, Σ yz of positions in steps: whole numbers.
 pub(super) type Moments = [f64; 10];
 
-/// Points whose second largest standard deviation is less than this, in voxels, lie on a line and span no plane.
-const MIN_SPREAD: f32 = 0.01;
+/// Instead of a divisor that is 0.
+const TINY: Vec4 = Vec4::splat(1e-30);
+
+/// What a neighbourhood must have to speak for a vertex.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    /// τ (4.6), per voxel².
+    pub(super) min_density: f32,
+    /// The least second largest standard deviation, voxels: with less, points lie on a line and span no plane.
+    pub(super) min_spread: f32,
+}
 
 /// A symmetric matrix of each lane: xx, yy, zz, xy, xz, yz.
 type Symmetric = [Vec4; 6];
@@ -60,14 +69,13 @@ impl Neighbourhoods {
         }
     }
 
-    /// Principal component analysis of each lane, and the test of the Gaussian in the plane against `min_density` (per
-    /// voxel²).
+    /// Principal component analysis of each lane, and the test of the Gaussian in the plane.
     ///
     /// With C scaled to trace 1 only its smallest eigenvalue λ₃ is needed. The other two have the sum 1 − λ₃ and the product
     /// det₂ = c₁ − λ₃(1 − λ₃), c₁ being the sum of C's principal minors; and for w in the plane
     /// wᵀΣ⁻¹w = ((1 − λ₃)·w² − wᵀCw)/det₂.
-    pub(super) fn planes(&self, min_density: f64) -> Planes {
-        let threshold = (std::f64::consts::TAU * min_density).powi(2) as f32;
+    pub(super) fn planes(&self, limits: &Limits) -> Planes {
+        let threshold = (std::f32::consts::TAU * limits.min_density).powi(2);
         let c = self.covariance.map(Vec4::from);
         let d = self.from_mean.map(Vec4::from);
         let trace = (c[0] + c[1] + c[2]).max(Vec4::splat(1e-12));
@@ -89,14 +97,13 @@ impl Neighbourhoods {
             xy * yz - xz * (yy - l3),
             xy * xz - yz * (xx - l3),
         ];
-        // λ₂ ≥ ε means (λ₁ − ε)(λ₂ − ε) ≥ 0.
-        let eps = unit * (MIN_SPREAD * MIN_SPREAD);
-        let spans = det2.cmpge(eps * (sum - eps));
+        // λ₁ and λ₂ ≥ ε: (λ₁ − ε)(λ₂ − ε) ≥ 0 and λ₁ + λ₂ ≥ 2ε.
+        let eps = unit * (limits.min_spread * limits.min_spread);
+        let spans = det2.cmpge(eps * (sum - eps)) & sum.cmpge(2.0 * eps);
 
-        let tiny = Vec4::splat(1e-30);
-        let across2 = quadratic(&adjugate, &d) / (adjugate[0] + adjugate[1] + adjugate[2]).max(tiny);
+        let across2 = quadratic(&adjugate, &d) / (adjugate[0] + adjugate[1] + adjugate[2]).max(TINY);
         let within2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] - across2;
-        let spread2 = (sum * within2 - quadratic(&c, &d) + l3 * across2) * unit / det2.max(tiny);
+        let spread2 = (sum * within2 - quadratic(&c, &d) + l3 * across2) * unit / det2.max(TINY);
         // exp(−q/2)/(2π√det Σ) ≥ τ (4.6), squared: exp(q)·(2πτ)²·det Σ ≤ 1.
         let inverse2 = exp(spread2.clamp(Vec4::ZERO, Vec4::splat(64.0))) * det2 * trace * trace * threshold;
         Planes {
@@ -131,16 +138,18 @@ fn quadratic(m: &Symmetric, v: &[Vec4; 3]) -> Vec4 {
     squares + 2.0 * (m[3] * v[0] * v[1] + m[4] * v[0] * v[2] + m[5] * v[1] * v[2])
 }
 
-/// The smallest root of x³ − x² + c₁x − det, which has three real ones ≥ 0: Laguerre's method, which from 0 rises to it.
+/// The smallest root of x³ − x² + c₁x − det, which has three real ones ≥ 0: two steps of Laguerre's method, downwards from the
+/// maximum between the two smaller roots. Where these are one, it is the maximum itself.
 #[inline(always)]
 fn smallest_root(c1: Vec4, det: Vec4) -> Vec4 {
-    let mut x = Vec4::ZERO;
-    for _ in 0..4 {
+    let highest = c1 / (1.0 + (1.0 - 3.0 * c1).max(Vec4::ZERO).sqrt());
+    let mut x = highest;
+    for _ in 0..2 {
         let p = ((x - 1.0) * x + c1) * x - det;
         let p1 = (3.0 * x - 2.0) * x + c1;
         let p2 = 6.0 * x - 2.0;
         let root = (4.0 * p1 * p1 - 6.0 * p * p2).max(Vec4::ZERO).sqrt();
-        x -= 3.0 * p.min(Vec4::ZERO) / (p1 + root).max(Vec4::splat(1e-30));
+        x = (x - 3.0 * p / (p1 + root).max(TINY)).clamp(Vec4::ZERO, highest);
     }
     x
 }
