@@ -3,7 +3,7 @@ mod cells;
 mod near;
 mod plane;
 
-use std::{cell::RefCell, time::Instant};
+use std::{array, cell::RefCell, time::Instant};
 
 use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};
@@ -220,12 +220,20 @@ impl Method<'_> {
             min_points, max_level, ..
         } = self.config;
         let around = Around::new(block, items, max_level);
-        if around.points() < u64::from(min_points) {
+        if !around.has(min_points) {
             return;
         }
-        sums.update(&around);
+        sums.count(&around);
+        // The vertices with enough points in the largest neighbourhood: a bit for each x, by rows.
+        let mut undecided: [u8; EDGE * EDGE] = array::from_fn(|row| {
+            let rows = sums.rows(max_level, row % EDGE, row / EDGE);
+            rows.map_or(0, |rows| sums.crowded(max_level, rows, min_points as i32))
+        });
+        if undecided == [0; EDGE * EDGE] {
+            return;
+        }
+        sums.sum(&around);
         let mut neighbourhoods = Neighbourhoods::default();
-        let mut undecided = [u8::MAX; EDGE * EDGE];
         for k in 1..=max_level {
             queue.clear();
             for (number, left) in undecided.iter().enumerate().filter(|(_, left)| **left != 0) {

@@ -3,7 +3,7 @@
 use glam::{DVec3, IVec3, Vec3};
 
 use super::{
-    cells::{Cell, CellBlock, STEPS},
+    cells::{Cell, CellBlock, STEPS, Towards},
     plane::Moments,
 };
 use crate::index::{BLOCK_EDGE, BlockIndex};
@@ -21,10 +21,9 @@ const EDGE: usize = BLOCK_EDGE as usize;
 /// ```
 #[derive(Debug)]
 pub(super) struct Around<'a> {
-    cells: Vec<(IVec3, &'a Cell)>,
+    cells: Vec<(IVec3, &'a Cell, &'a Towards)>,
     low: IVec3,
     high: IVec3,
-    points: u64,
     reach: usize,
     /// Bounds of the ways from the points to their sensor.
     views: (DVec3, DVec3),
@@ -41,7 +40,6 @@ impl<'a> Around<'a> {
             cells: Vec::with_capacity(64),
             low: IVec3::MAX,
             high: IVec3::MIN,
-            points: 0,
             reach,
             views: (DVec3::INFINITY, DVec3::NEG_INFINITY),
         };
@@ -53,11 +51,10 @@ impl<'a> Around<'a> {
             if low.cmple(high).all() {
                 let (from, to) = cells.views();
                 found.views = (found.views.0.min(from), found.views.1.max(to));
-                cells.for_each_within(low, high, |at, cell| {
+                cells.for_each_within(low, high, |at, cell, towards| {
                     let at = at + shift;
                     (found.low, found.high) = (found.low.min(at), found.high.max(at));
-                    found.points += u64::from(cell.count);
-                    found.cells.push((at, cell));
+                    found.cells.push((at, cell, towards));
                 });
             }
         }
@@ -76,9 +73,11 @@ impl<'a> Around<'a> {
         }
     }
 
-    /// How many points they hold.
-    pub(super) fn points(&self) -> u64 {
-        self.points
+    /// Whether they hold at least so many points.
+    pub(super) fn has(&self, points: u32) -> bool {
+        // Each occupied cell holds one at least.
+        let sum = || self.cells.iter().map(|c| u64::from(c.1.count)).sum::<u64>();
+        self.cells.len() as u64 >= u64::from(points) || sum() >= u64::from(points)
     }
 }
 
@@ -97,8 +96,8 @@ pub(super) struct Sums {
 }
 
 impl Sums {
-    /// Sums up the cells about a block.
-    pub(super) fn update(&mut self, around: &Around) {
+    /// Counts the points about a block.
+    pub(super) fn count(&mut self, around: &Around) {
         let &Around { low, high, reach, .. } = around;
         let extent = high - low + 1;
         for axis in 0..3 {
@@ -110,11 +109,14 @@ impl Sums {
             }
         }
         self.size = extent.to_array().map(|n| n as usize + 1);
-        let middle = low - (reach as i32 - 1) - BLOCK_EDGE / 2;
-        sum_up(&mut self.counts, self.size, around, |_, cell| [cell.count as i32]);
-        sum_up(&mut self.moments, self.size, around, |at, cell| {
-            moments_about(at + middle, cell)
-        });
+        sum_up(&mut self.counts, self.size, around, |_, cell, _| [cell.count as i32]);
+    }
+
+    /// Sums up the moments of the points that were counted.
+    pub(super) fn sum(&mut self, around: &Around) {
+        let middle = around.low - (around.reach as i32 - 1) - BLOCK_EDGE / 2;
+        let moments = |at: IVec3, cell: &Cell, _: &Towards| moments_about(at + middle, cell);
+        sum_up(&mut self.moments, self.size, around, moments);
         self.towards.clear();
     }
 
@@ -153,8 +155,8 @@ impl Sums {
     #[inline]
     pub(super) fn towards(&mut self, around: &Around, k: usize, x: usize, rows: [usize; 4]) -> DVec3 {
         if self.towards.is_empty() {
-            sum_up(&mut self.towards, self.size, around, |_, cell| {
-                cell.towards.map(|v| v as f64)
+            sum_up(&mut self.towards, self.size, around, |_, _, towards| {
+                towards.map(|v| v as f64)
             });
         }
         cube(&self.towards, rows, self.ranges[0][k - 1][x]).into()
@@ -166,15 +168,15 @@ fn sum_up<T: Copy + Default + std::ops::AddAssign, const N: usize>(
     table: &mut Vec<[T; N]>,
     [nx, ny, nz]: [usize; 3],
     around: &Around,
-    value: impl Fn(IVec3, &Cell) -> [T; N],
+    value: impl Fn(IVec3, &Cell, &Towards) -> [T; N],
 ) {
     let none = [T::default(); N];
     table.clear();
     table.resize(nx * ny * nz, none);
-    for (at, cell) in &around.cells {
+    for (at, cell, towards) in &around.cells {
         let at = *at - around.low;
         let [x, y, z] = (at + 1).to_array().map(|i| i as usize);
-        table[x + nx * (y + ny * z)] = value(at, cell);
+        table[x + nx * (y + ny * z)] = value(at, cell, towards);
     }
     let mut layer = [none; 2 * MAX_LEVEL + EDGE];
     for z in 1..nz {
