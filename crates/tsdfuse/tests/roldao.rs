@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use common::{Voxels, assert_agrees, observed, scan};
 use tsdfuse::{
     Integration, Integrator, MapConfig, Pose, Roldao, Scan, VoxelMap,
-    fuse::{Form, RoldaoConfig},
+    fuse::{RoldaoConfig, RoldaoForm as Form},
     glam::{DMat3, DQuat, DVec3, IVec3, Vec3},
     scan::Motion,
 };
@@ -27,7 +27,7 @@ fn config(form: Form) -> RoldaoConfig {
         form,
         min_points: 6,
         max_level: 4,
-        min_density: 0.5,
+        min_density: 0.01,
         ..Default::default()
     }
 }
@@ -131,7 +131,7 @@ fn literal(scans: &[Scan], config: RoldaoConfig) -> Voxels {
                 }
                 let (a, b) = ((v - mean).dot(e1), (v - mean).dot(e2));
                 let density = (-0.5 * (a * a / l1 + b * b / l2)).exp() / (std::f64::consts::TAU * (l1 * l2).sqrt());
-                if density < config.min_density {
+                if density * k * k < config.min_density {
                     continue; // (4.6)
                 }
                 let normal = if e3.dot(sensor - mean) > 0.0 { e3 } else { -e3 }; // (4.5)
@@ -156,7 +156,7 @@ fn both_forms_are_what_their_formulas_say() {
             RoldaoConfig {
                 min_points: 8,
                 max_level: 3,
-                min_density: 1.5,
+                min_density: 0.025,
                 min_spread_m: 0.05,
                 ..config(form)
             },

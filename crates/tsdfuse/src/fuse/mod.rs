@@ -28,7 +28,7 @@ pub use depth::Depth;
 pub use kuehner::Kuehner;
 pub use normals::Normals;
 pub use raycast::{Distance, Raycast, RaycastConfig};
-pub use roldao::{Form, Roldao, RoldaoConfig};
+pub use roldao::{Roldao, RoldaoConfig, RoldaoForm};
 pub use surfel::Surfels;
 
 use crate::{

@@ -81,6 +81,9 @@ impl<'a> Around<'a> {
     }
 }
 
+/// Where four rows of sums begin, see [`Sums::rows`].
+pub(super) type Rows = [usize; 4];
+
 /// Sums over boxes of cells: `table[x, y, z]` is the sum over all cells below x, y and z of the box that holds the occupied
 /// ones. Sums of whole numbers, so that differences are exact.
 #[derive(Debug, Default)]
@@ -123,7 +126,7 @@ impl Sums {
     /// Where the four rows along x begin that enclose the cells of level `k` of a row of vertices: sums over them are
     /// a − b − c + d. `None` if there are no cells.
     #[inline]
-    pub(super) fn rows(&self, k: usize, y: usize, z: usize) -> Option<[usize; 4]> {
+    pub(super) fn rows(&self, k: usize, y: usize, z: usize) -> Option<Rows> {
         let (y0, y1) = self.ranges[1][k - 1][y];
         let (z0, z1) = self.ranges[2][k - 1][z];
         let row = |y, z| self.size[0] * (y + self.size[1] * z);
@@ -132,7 +135,7 @@ impl Sums {
 
     /// The vertices of a row whose cells of level `k` hold at least `min_points` points (4.4), as bits.
     #[inline]
-    pub(super) fn crowded(&self, k: usize, rows: [usize; 4], min_points: i32) -> u8 {
+    pub(super) fn crowded(&self, k: usize, rows: Rows, min_points: u32) -> u8 {
         let nx = self.size[0];
         let [a, b, c, d] = rows.map(|row| &self.counts[row..row + nx]);
         let mut sums = [0; 2 * MAX_LEVEL + EDGE];
@@ -141,19 +144,19 @@ impl Sums {
         }
         let ranges = self.ranges[0][k - 1].iter().enumerate();
         ranges.fold(0, |bits, (x, &(x0, x1))| {
-            bits | u8::from(sums[x1] - sums[x0] >= min_points) << x
+            bits | u8::from(sums[x1] - sums[x0] >= min_points as i32) << x
         })
     }
 
     /// The moments of the cells of level `k` of vertex `x` of a row.
     #[inline(never)] // so that the compiler adds in vectors
-    pub(super) fn moments(&self, k: usize, x: usize, rows: [usize; 4]) -> Moments {
+    pub(super) fn moments(&self, k: usize, x: usize, rows: Rows) -> Moments {
         cube(&self.moments, rows, self.ranges[0][k - 1][x])
     }
 
     /// Σ (s − p) of the same.
     #[inline]
-    pub(super) fn towards(&mut self, around: &Around, k: usize, x: usize, rows: [usize; 4]) -> DVec3 {
+    pub(super) fn towards(&mut self, around: &Around, k: usize, x: usize, rows: Rows) -> DVec3 {
         if self.towards.is_empty() {
             sum_up(&mut self.towards, self.size, around, |_, _, towards| {
                 towards.map(|v| v as f64)
@@ -201,7 +204,7 @@ fn sum_up<T: Copy + Default + std::ops::AddAssign, const N: usize>(
 
 /// The sum over a cube of cells.
 #[inline(always)]
-fn cube<const N: usize>(table: &[[f64; N]], rows: [usize; 4], (x0, x1): (usize, usize)) -> [f64; N] {
+fn cube<const N: usize>(table: &[[f64; N]], rows: Rows, (x0, x1): (usize, usize)) -> [f64; N] {
     let [a, b, c, d] = rows.map(|row| (&table[row + x1], &table[row + x0]));
     std::array::from_fn(|i| (a.0[i] - a.1[i]) - (b.0[i] - b.1[i]) - (c.0[i] - c.1[i]) + (d.0[i] - d.1[i]))
 }

@@ -164,3 +164,97 @@ fn exp(x: Vec4) -> Vec4 {
     }
     y
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::eigen::eigen;
+    use glam::{DMat3, DQuat};
+    use proptest::prelude::*;
+
+    /// Eight points with this covariance about `mean`, in steps.
+    fn moments(spread: DVec3, rotation: DQuat, mean: DVec3) -> Moments {
+        let mut m = [0.0; 10];
+        for corner in 0..8 {
+            let sign = |bit: i32| f64::from(corner >> bit & 1) * 2.0 - 1.0;
+            let p = (mean + rotation * (DVec3::new(sign(0), sign(1), sign(2)) * spread)) * f64::from(STEPS);
+            let [x, y, z] = p.round().to_array();
+            let of = [1.0, x, y, z, x * x, y * y, z * z, x * y, x * z, y * z];
+            m.iter_mut().zip(of).for_each(|(sum, v)| *sum += v);
+        }
+        m
+    }
+
+    fn plane_of(m: &Moments, vertex: DVec3, limits: Limits) -> Option<(Vec3, f32)> {
+        let mut neighbourhoods = Neighbourhoods::default();
+        neighbourhoods.set(2, m, vertex);
+        let planes = neighbourhoods.planes(&limits);
+        assert_eq!(planes.accepted & !4, 0, "empty lanes");
+        (planes.accepted != 0).then(|| planes.plane(2))
+    }
+
+    const ANY: Limits = Limits {
+        min_density: 0.0,
+        min_spread: 0.01,
+    };
+
+    proptest! {
+        #[test]
+        fn normal_distance_and_density_are_those_of_the_eigenvectors(
+            spread in prop::array::uniform3(0.02..2.0f64), axis in prop::array::uniform3(-1.0..1.0f64), angle in 0.0..3.0f64,
+            mean in prop::array::uniform3(-8.0..8.0f64), off in prop::array::uniform3(-1.0..1.0f64),
+        ) {
+            let rotation = DQuat::from_axis_angle(DVec3::from(axis).normalize_or(DVec3::X), angle);
+            let m = moments(spread.into(), rotation, mean.into());
+            let (n, step) = (m[0], f64::from(STEPS));
+            let center = DVec3::new(m[1], m[2], m[3]) / (n * step);
+            let c = |sum: usize, a: usize, b: usize| (n * m[sum] - m[a] * m[b]) / (n * step).powi(2);
+            let covariance = DMat3::from_cols(
+                DVec3::new(c(4, 1, 1), c(7, 1, 2), c(8, 1, 3)),
+                DVec3::new(c(7, 1, 2), c(5, 2, 2), c(9, 2, 3)),
+                DVec3::new(c(8, 1, 3), c(9, 2, 3), c(6, 3, 3)),
+            );
+            let expected = eigen(&covariance);
+            let [l3, l2, l1] = expected.values;
+            prop_assume!(l2 > 1.1 * l3 && l2 > 1e-3);
+            let vertex = center + DVec3::from(off);
+            let (normal, distance) = plane_of(&m, vertex, ANY).unwrap();
+            let e3 = expected.vectors[0];
+            let side = normal.as_dvec3().dot(e3);
+            prop_assert!(side.abs() > 1.0 - 1e-5, "{side}");
+            prop_assert!((f64::from(distance) - side.signum() * e3.dot(vertex - center)).abs() < 3e-3);
+            let (a, b) = (expected.vectors[2].dot(vertex - center), expected.vectors[1].dot(vertex - center));
+            let density = (-0.5 * (a * a / l1 + b * b / l2)).exp() / (std::f64::consts::TAU * (l1 * l2).sqrt());
+            prop_assume!(density > 1e-6);
+            let with = |factor: f64| Limits { min_density: (density * factor) as f32, ..ANY };
+            prop_assert!(plane_of(&m, vertex, with(0.9)).is_some());
+            prop_assert!(plane_of(&m, vertex, with(1.1)).is_none());
+        }
+    }
+
+    #[test]
+    fn points_on_a_line_or_in_one_place_span_no_plane() {
+        let of = |spread| {
+            plane_of(
+                &moments(spread, DQuat::from_rotation_z(0.3), DVec3::ONE),
+                DVec3::ONE,
+                ANY,
+            )
+        };
+        assert!(of(DVec3::new(1.0, 0.0, 0.0)).is_none());
+        assert!(of(DVec3::ZERO).is_none());
+        assert!(of(DVec3::new(1.0, 0.05, 0.0)).is_some());
+        // No direction is the least one: some plane, and no NaN.
+        let (normal, distance) = of(DVec3::ONE).unwrap();
+        assert!(normal.is_finite() && distance.is_finite());
+    }
+
+    #[test]
+    fn the_exponential_is_one() {
+        for i in 0..=640 {
+            let x = 0.1 * i as f32;
+            let off = f64::from(exp(Vec4::splat(x)).x) / f64::from(x).exp() - 1.0;
+            assert!(off.abs() < 3e-3, "{x}: {off}");
+        }
+    }
+}
