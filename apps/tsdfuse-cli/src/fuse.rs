@@ -19,8 +19,8 @@ use crate::mesh::surface;
 use crate::progress::{self, note, say};
 use crate::render::preview;
 use crate::report::{
-    DatasetReport, FinishReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, left_out, peak_memory_bytes,
-    print_json,
+    DatasetReport, FinishReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, left_out,
+    peak_memory_bytes, print_json,
 };
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {

@@ -229,7 +229,12 @@ impl Report {
 
     /// The few lines for people, on standard error.
     pub(crate) fn summarize(&self) {
-        let Totals { scans, sums, finish, seconds } = &self.totals;
+        let Totals {
+            scans,
+            sums,
+            finish,
+            seconds,
+        } = &self.totals;
         let rate = *scans as f64 / seconds;
         say(format_args!("{scans} scans fused in {seconds:.2} s, {rate:.1} scans/s"));
         let (points, fused) = (HumanCount(sums.points), HumanCount(sums.fused));

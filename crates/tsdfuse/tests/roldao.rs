@@ -1,6 +1,8 @@
 //! Roldão's method against a literal implementation, and what its statistics promise: any split of a log, any number of
 //! threads and any place in the world give the same planes.
 
+#![allow(clippy::unwrap_used)] // test helpers
+
 mod common;
 
 use std::collections::BTreeSet;

@@ -34,6 +34,41 @@ fn a_sphere_becomes_a_sphere_by_each_method_also_from_a_moving_sensor_far_from_t
 }
 
 #[test]
+fn a_method_that_collects_scans_fuses_them_at_the_end_and_the_report_says_so() {
+    let folder = Folder::new();
+    let set = folder.simulate("sphere", "sphere", "pandar64", 12, &["--motion"]);
+    let run = |form: &str| {
+        let mesh = folder.text(&format!("{form}.ply"));
+        let setting = format!("roldao.form={form}");
+        let fuse = [
+            "fuse", &set, "-o", &mesh, "--method", "roldao", "--set", &setting, "--json",
+        ];
+        let run = tsdfuse(&fuse).succeeded();
+        let (vertices, triangles) = ply::read(mesh.as_ref());
+        assert!(triangles > 10_000, "{form}: {triangles}");
+        (run.json(), run.stderr, off_sphere(&vertices, DVec3::ZERO).0)
+    };
+    let updated = |scan: &Value| scan["updated_blocks"].as_u64().unwrap();
+    for (form, at_the_end) in [("scan", false), ("batch", true)] {
+        let (report, told, off) = run(form);
+        assert!(off < 0.03, "{form}: {off}");
+        let finish = &report["totals"]["finish"];
+        let blocks = if at_the_end {
+            report["map"]["blocks"].as_u64().unwrap()
+        } else {
+            0
+        };
+        assert_eq!(
+            (updated(finish), told.contains(", finish ")),
+            (blocks, at_the_end),
+            "{form}: {told}"
+        );
+        let scans = report["scans"].as_array().unwrap();
+        assert!(scans.iter().all(|scan| (updated(scan) == 0) == at_the_end), "{form}");
+    }
+}
+
+#[test]
 fn any_number_of_threads_gives_the_same_bytes() {
     let folder = Folder::new();
     let set = folder.simulate("box", "box", "vlp16", 8, &["--motion"]);

@@ -1,5 +1,7 @@
 //! The cells about one block of vertices, summed up such that any cube of them is eight look-ups away.
 
+use std::ops::{Add, AddAssign};
+
 use glam::{DVec3, IVec3, Vec3};
 
 use super::{
@@ -167,7 +169,7 @@ impl Sums {
 }
 
 /// Makes a table of sums from the values of cells, given their place in the box.
-fn sum_up<T: Copy + Default + std::ops::AddAssign, const N: usize>(
+fn sum_up<T: Copy + Default + Add<Output = T> + AddAssign, const N: usize>(
     table: &mut Vec<[T; N]>,
     [nx, ny, nz]: [usize; 3],
     around: &Around,
@@ -194,8 +196,7 @@ fn sum_up<T: Copy + Default + std::ops::AddAssign, const N: usize>(
                 for i in 0..N {
                     row[i] += sum[i];
                     layer[i] += row[i];
-                    sum[i] = layer[i];
-                    sum[i] += below[i];
+                    sum[i] = layer[i] + below[i];
                 }
             }
         }
