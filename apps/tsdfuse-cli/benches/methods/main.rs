@@ -50,7 +50,7 @@ struct Args {
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     runs: u32,
     /// Only these scenes.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = ["street", "hall"])]
     scenes: Vec<String>,
     /// Only these methods, in all their forms.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
@@ -171,7 +171,7 @@ impl Bench {
         };
         let measured = start.elapsed() - fused;
         say(&format!(
-            "{name}: {fused:.1?} for {} runs, {measured:.1?} for measuring",
+            "{name}: fused {} times in {fused:.1?}, measured in {measured:.1?}",
             self.runs
         ));
         Ok((row, mesh))
