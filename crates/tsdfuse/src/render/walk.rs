@@ -217,7 +217,7 @@ mod tests {
         ) {
             let shift = IVec3::from(shift);
             let mut cells: Vec<_> = near.union(&far).map(|c| IVec3::from(*c) + shift).collect();
-            cells.sort_by_key(|c| c.to_array());
+            cells.sort_by_key(glam::IVec3::to_array);
             let tree = Tree::new(&leaves(&cells));
             let ray = Ray { base: ray.base + shift, ..ray };
             let (want, got) = (met(&cells, &ray), visited(&tree, &ray));
@@ -237,7 +237,7 @@ mod tests {
             offs in prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 1..30),
         ) {
             let mut cells: Vec<_> = cells.iter().map(|c| IVec3::from(*c)).collect();
-            cells.sort_by_key(|c| c.to_array());
+            cells.sort_by_key(glam::IVec3::to_array);
             let tree = Tree::new(&leaves(&cells));
             let towards = |off: &[f64; 3]| (axis.direction + DVec3::from(*off) * spread).normalize();
             let rays: Vec<_> = offs.iter().map(|off| Ray { direction: towards(off), length: 1e3, ..axis }).collect();
