@@ -90,7 +90,7 @@ fn byte(x: f32) -> u8 {
 fn shade(hit: &Hit) -> u8 {
     let lamp = hit.incidence_cos.abs();
     let sky = 0.5 + 0.5 * hit.normal.z;
-    byte(0.12 + 0.5 * lamp + 0.26 * sky)
+    byte(0.06 + 0.58 * lamp + 0.28 * sky)
 }
 
 fn depth(hit: &Hit) -> u16 {

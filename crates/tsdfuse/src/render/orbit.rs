@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 
 use super::Renderer;
 use crate::Pose;
@@ -23,22 +23,23 @@ const MARGIN: f64 = 0.04;
 
 /// The pose from which a camera sees the whole map across its long side; `None` for a map without surface.
 pub fn overview(renderer: &Renderer, camera: &Pinhole) -> Option<Pose> {
-    let hull = Hull::of(renderer)?;
-    Some(hull.pose(OBLIQUE_RAD, hull.distance(camera, OBLIQUE_RAD)))
+    turntable(renderer, camera, 1).pop()
 }
 
-/// `count` poses around the map, all at one distance; the first looks as [`overview`] does, the others follow
+/// `count` poses around the map, all as far from it; the first looks as [`overview`] does, the others follow
 /// counter-clockwise. None for a map without surface.
 pub fn turntable(renderer: &Renderer, camera: &Pinhole, count: usize) -> Vec<Pose> {
     let Some(hull) = Hull::of(renderer) else {
         return Vec::new();
     };
-    let turns: Vec<_> = (0..count)
-        .map(|i| OBLIQUE_RAD + TAU * i as f64 / count as f64)
-        .collect();
-    let distances = turns.iter().map(|&turn| hull.distance(camera, turn));
-    let distance = distances.fold(0.0, f64::max);
-    turns.iter().map(|&turn| hull.pose(turn, distance)).collect()
+    let turns = (0..count).map(|i| OBLIQUE_RAD + TAU * i as f64 / count as f64);
+    let places: Vec<_> = turns.map(|turn| (hull.axes(turn), hull.place(camera, turn))).collect();
+    let back = places.iter().map(|(_, place)| place.x).fold(0.0, f64::min);
+    let pose = |(axes, place): (DQuat, DVec3)| Pose {
+        rotation: axes,
+        translation: hull.center + axes * DVec3::new(back, place.y, place.z),
+    };
+    places.into_iter().map(pose).collect()
 }
 
 /// A box around nearly all of the surface, upright and turned along its longest extent.
@@ -89,25 +90,28 @@ impl Hull {
         DQuat::from_rotation_z(self.heading_rad + FRAC_PI_2 + turn_rad) * DQuat::from_rotation_y(PITCH_RAD)
     }
 
-    fn pose(&self, turn_rad: f64, distance_m: f64) -> Pose {
-        let rotation = self.axes(turn_rad);
-        Pose {
-            rotation,
-            translation: self.center - rotation * DVec3::X * distance_m,
-        }
-    }
-
-    /// From how far the whole box is in the image.
-    fn distance(&self, camera: &Pinhole, turn_rad: f64) -> f64 {
-        let camera_from_own =
-            DMat3::from_quat(self.axes(turn_rad).conjugate() * DQuat::from_rotation_z(self.heading_rad));
-        let tangent = |pixels: u32, focal: f32| (0.5 - MARGIN) * f64::from(pixels) / f64::from(focal);
-        let (across, down) = (tangent(camera.width, camera.fx), tangent(camera.height, camera.fy));
-        let corners = (0..8).map(|c| {
+    /// The nearest place from which the whole box is in the image, from the box's centre in the camera's axes, metres.
+    fn place(&self, camera: &Pinhole, turn_rad: f64) -> DVec3 {
+        let camera_from_own = self.axes(turn_rad).conjugate() * DQuat::from_rotation_z(self.heading_rad);
+        let corners = [0, 1, 2, 3, 4, 5, 6, 7].map(|c| {
             let side = |bit: i32| if c & bit == 0 { -1.0 } else { 1.0 };
-            let p = camera_from_own * (self.half * DVec3::new(side(1), side(2), side(4)));
-            (p.y.abs() / across).max(p.z.abs() / down) - p.x
+            camera_from_own * (self.half * DVec3::new(side(1), side(2), side(4)))
         });
-        corners.fold(0.0, f64::max)
+        // From (−d, s) a corner (x, y) is in the image if |y − s| ≤ t·(x + d), t being the tangent of half the field of view:
+        // d ≥ (a − s)/t and d ≥ (b + s)/t with a = max(y − t x), b = max(−y − t x). Best is s = (a − b)/2, d = (a + b)/2t.
+        let fit = |axis: usize, pixels: u32, focal: f32| {
+            let t = (0.5 - MARGIN) * f64::from(pixels) / f64::from(focal);
+            let most = |sign: f64| {
+                corners
+                    .iter()
+                    .map(|p| sign * p[axis] - t * p.x)
+                    .fold(f64::MIN, f64::max)
+            };
+            let (a, b) = (most(1.0), most(-1.0));
+            (0.5 * (a - b), 0.5 * (a + b) / t)
+        };
+        let (left, by_width) = fit(1, camera.width, camera.fx);
+        let (up, by_height) = fit(2, camera.height, camera.fy);
+        DVec3::new(-by_width.max(by_height), left, up)
     }
 }
