@@ -159,5 +159,8 @@ fn wrong_arguments_and_settings_are_named_with_what_is_possible() {
     let line = tsdfuse(&["fuse", &set, "-o", "-", "--json"]).failed(2);
     assert!(line.contains("standard output"), "{line}");
     let line = tsdfuse(&["fuse", &set]).failed(2);
-    assert!(line.contains("<--output <FILE>|--save-map <FILE>|--preview <FILE>>"), "{line}");
+    assert!(
+        line.contains("<--output <FILE>|--save-map <FILE>|--preview <FILE>>"),
+        "{line}"
+    );
 }
