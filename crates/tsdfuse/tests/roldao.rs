@@ -165,7 +165,7 @@ fn both_forms_are_what_their_formulas_say() {
         ] {
             let map = fuse_with(&scans, config).0;
             assert!(map.observed_voxel_count() > 5_000, "{}", map.observed_voxel_count());
-            assert_agrees(&map, &literal(&scans, config), 0.01, &format!("{config:?}"));
+            assert_agrees(&map, &literal(&scans, config), 0.002, &format!("{config:?}"));
         }
     }
 }

@@ -19,7 +19,8 @@
 //! scans meet. Weak on single scans with rings far apart: points of one ring lie on a line, and what spreads them across it
 //! is the noise of ranges, so that their plane runs through the sensor, with any tilt and either side in front: ground and
 //! upper facades become litter. `min_spread_m` above the noise leaves such planes out, and then holes. Weak on thin parts and
-//! at edges: points of two surfaces make one plane.
+//! at edges: points of two surfaces make one plane. A return counts as fused once it is summed up, whether or not a plane comes
+//! of it.
 
 mod adaptive;
 mod cells;
