@@ -58,8 +58,12 @@ pub(crate) struct Args {
     /// Look at the whole map from N places around it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=9999))]
     views: Option<u16>,
-    /// Look from this pose: X,Y,Z[,YAW[,PITCH[,ROLL]]], or a file that holds one.
-    #[arg(long, value_name = "POSE|FILE", allow_hyphen_values = true)]
+    #[arg(
+        help = "Look from this pose: X,Y,Z[,YAW[,PITCH[,ROLL]]], or a file that holds one",
+        long,
+        value_name = "POSE|FILE",
+        allow_hyphen_values = true
+    )]
     pose: Option<String>,
     /// Look from each pose of a file.
     #[arg(long, value_name = "FILE")]
