@@ -164,7 +164,7 @@ pub(crate) fn floor(v: DVec3) -> IVec3 {
 
 /// Adding this makes an f32 below 2²² in magnitude round to the nearest integer, which then sits in its low bits: cheaper than
 /// a call to a rounding function, and the same on every CPU.
-const ROUND: f32 = 12_582_912.0;
+pub(crate) const ROUND: f32 = 12_582_912.0;
 
 /// The nearest integer, |x| < 2²².
 #[inline]

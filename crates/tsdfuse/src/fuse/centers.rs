@@ -2,6 +2,7 @@
 
 use glam::{Mat3, Vec3};
 
+use super::gather::ROW;
 use crate::index::{Anchor, BLOCK_EDGE, BlockIndex};
 
 /// Half the diagonal of a block, in voxels.
@@ -45,9 +46,6 @@ impl Centers {
         }
     }
 }
-
-/// Voxels in a row.
-pub(crate) const ROW: usize = BLOCK_EDGE as usize;
 
 /// The x, y and z coordinates of the voxels in a row.
 pub(crate) type Row = [[f32; ROW]; 3];

@@ -15,10 +15,9 @@ use glam::{Mat3, Vec3};
 
 use super::{
     FuseError, Integration, Integrator,
-    centers::{BLOCK_RADIUS, Centers, ROW},
-    gather::{Gather, Near, Updates},
+    centers::{BLOCK_RADIUS, Centers},
+    gather::{Gather, Near, ROW, Skip, Updates},
     pierced::Segment,
-    scatter::Skip,
 };
 use crate::{
     index::{Anchor, BlockIndex},

@@ -1,192 +1,130 @@
-//! The engine under methods that look from the voxels: items (pixels, surfels) name blocks, blocks gather updates.
+//! The engine under all methods: items (returns, pixels, surfels) name blocks, blocks gather updates.
 //!
 //! ```text
-//!   items ─┬─ lane 0 ─▶ bucket per shard: [(block, tag), …]                   pass 1: threads own lanes
+//!   items ─┬─ lane 0 ─▶ per shard: its blocks, and names (number of a block, item)      pass 1: threads own lanes
 //!          └─ lane …
-//!   shard 0 ◀─ its bucket of every lane, sorted: block ─▶ its tags ─▶ 512 voxels     pass 2: threads own shards
+//!   shard 0 ◀─ the names of every lane, by block ─▶ 512 sums ─▶ the block in the map    pass 2: threads own shards
+//!   shard …
 //! ```
 //!
-//! The twin of [`super::scatter`] for methods in which many items touch one voxel or one item touches many: what a voxel gets is
-//! worked out where it lies, and a block is written once. The same bits on any number of threads: sums are integers, and the
-//! tags of a block come in order.
+//! What costs time in fusing is the way to memory: a scan updates a million voxels all over a large map. So what a voxel gets
+//! is worked out block by block, in sums that stay in the CPU's nearest cache, and the map is written once per block, only the
+//! rows (cache lines) that changed. A row is also what a vector of the CPU holds: methods work out eight voxels at once.
+//!
+//! No locks, no atomics, no `unsafe`. The same bits on any number of threads: sums are integers, the items of a block come in
+//! order, and blocks are made by the thread that owns their shard.
 
 use std::ops::Range;
 
+use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, prelude::*};
+use hashbrown::HashMap;
 use rayon::prelude::*;
+use rustc_hash::FxBuildHasher;
 
-use super::{
-    Integration,
-    centers::ROW,
-    scatter::{Counts, Skip},
-};
+use super::{Integration, Skipped};
 use crate::{
-    index::{BLOCK_VOXELS, BlockIndex},
-    map::{Block, SHARDS, Shard, VoxelMap, fixed, shard_of},
+    index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex, ROUND},
+    map::{Block, SHARDS, Shard, VoxelMap, WEIGHT_SCALE, fixed, shard_of},
 };
+
+/// Voxels in a row.
+pub(crate) const ROW: usize = BLOCK_EDGE as usize;
+
+/// Rows in a block, numbered y + 8 z.
+pub(crate) const ROWS: usize = BLOCK_VOXELS / ROW;
 
 /// Pieces of a scan: enough to balance the load of many threads.
 const LANES: usize = 32;
 
+/// Why an item made no update.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Skip {
+    OutsideGrid,
+    WithoutNormal,
+    WithoutWeight,
+}
+
+/// What became of the items of one lane.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
+    fused: u64,
+    skipped: Skipped,
+}
+
+impl Counts {
+    fn count(&mut self, done: Result<(), Skip>) {
+        match done {
+            Ok(()) => self.fused += 1,
+            Err(Skip::OutsideGrid) => self.skipped.outside_grid += 1,
+            Err(Skip::WithoutNormal) => self.skipped.without_normal += 1,
+            Err(Skip::WithoutWeight) => self.skipped.without_weight += 1,
+        }
+    }
+
+    fn add_to(&self, done: &mut Integration) {
+        done.skipped += self.skipped;
+        done.fused_returns += self.fused;
+    }
+}
+
 /// Buffers of the engine, kept from scan to scan.
 #[derive(Debug)]
 pub(crate) struct Gather {
+    /// The vector instructions of this CPU.
+    level: Level,
     lanes: Vec<Near>,
-    /// Per shard: the blocks that items named, sorted.
-    named: Vec<Vec<Named>>,
+    shards: Vec<Named>,
 }
 
 impl Default for Gather {
     fn default() -> Self {
-        Self {
-            lanes: (0..LANES).map(|_| Near::default()).collect(),
-            named: vec![Vec::new(); SHARDS],
-        }
-    }
-}
-
-/// A block, and the tag with which it was named.
-pub(crate) type Named = (BlockIndex, u32);
-
-/// Which blocks an item may touch: what pass 1 writes to.
-#[derive(Debug)]
-pub(crate) struct Near {
-    buckets: Vec<Vec<Named>>,
-    counts: Counts,
-}
-
-impl Default for Near {
-    fn default() -> Self {
-        Self {
-            buckets: vec![Vec::new(); SHARDS],
-            counts: Counts::default(),
-        }
-    }
-}
-
-impl Near {
-    /// Names a block, with what its update wants to know: the number of the item, or always 0. Twice the same counts once.
-    #[inline]
-    pub(crate) fn block(&mut self, block: BlockIndex, tag: u32) {
-        let bucket = &mut self.buckets[shard_of(block)];
-        if bucket.last() != Some(&(block, tag)) {
-            bucket.push((block, tag));
-        }
-    }
-}
-
-/// The updates of one block in one scan.
-#[derive(Debug)]
-pub(crate) struct Updates {
-    weights: [i32; BLOCK_VOXELS],
-    distances: [i32; BLOCK_VOXELS],
-    /// A bit for each row, y + 8 z, whose sums may not be 0.
-    rows: u64,
-}
-
-/// A block's updates are added up for so many names at a time: the sums, of at most 2⁶ updates a name and 2¹⁵ an update, are
-/// at most 2²⁹.
-const NAMES: usize = 1 << 8;
-
-impl Updates {
-    const NONE: Self = Self {
-        weights: [0; BLOCK_VOXELS],
-        distances: [0; BLOCK_VOXELS],
-        rows: 0,
-    };
-
-    /// Adds an update to the voxel with number `local`: distance over μ (clamped to ±1) and weight (clamped to 0..=1; too
-    /// little is no update).
-    #[inline(always)]
-    pub(crate) fn add(&mut self, local: usize, distance: f32, weight: f32) {
-        let (weight, distance) = fixed(distance, weight);
-        self.rows |= 1 << (local / ROW);
-        self.weights[local] += weight;
-        self.distances[local] += distance;
-    }
-
-    /// Adds an update to each of the eight voxels of a row, `row` = y + 8 z, or none where the weight is 0. `update` gets the
-    /// voxel's x, 0…7, and returns distance and weight as for [`Updates::add`].
-    #[inline(always)]
-    pub(crate) fn add_row(&mut self, row: usize, update: impl Fn(f32) -> (f32, f32)) {
-        self.rows |= 1 << row;
-        let voxels = ROW * row..ROW * (row + 1);
-        let sums = self.weights[voxels.clone()].iter_mut().zip(&mut self.distances[voxels]);
-        for (x, (weights, distances)) in sums.enumerate() {
-            let (distance, weight) = update(x as f32);
-            let (weight, distance) = fixed(distance, weight);
-            *weights += weight;
-            *distances += distance;
-        }
-    }
-
-    /// The voxels of the rows that may have sums, by rows.
-    fn row_ranges(&self) -> impl Iterator<Item = Range<usize>> + use<> {
-        let mut left = self.rows;
-        std::iter::from_fn(move || {
-            let row = left.trailing_zeros() as usize;
-            left &= left.wrapping_sub(1);
-            (row < 64).then(|| ROW * row..ROW * (row + 1))
-        })
-    }
-
-    fn clear(&mut self) {
-        for row in self.row_ranges() {
-            self.weights[row.clone()].fill(0);
-            self.distances[row].fill(0);
-        }
-        self.rows = 0;
-    }
-
-    fn is_empty(&self) -> bool {
-        self.row_ranges().all(|row| self.weights[row].iter().all(|&w| w == 0))
-    }
-
-    /// Adds the sums to a block; whether a voxel's weight is now beyond `limit`.
-    fn add_to(&self, block: &mut Block, limit: u32) -> bool {
-        let mut over = false;
-        for row in self.row_ranges() {
-            let sums = self.weights[row.clone()].iter().zip(&self.distances[row.clone()]);
-            for (voxel, (&weight, &distance)) in block.voxels[row].iter_mut().zip(sums) {
-                voxel.add_sums(weight, distance);
-                over |= voxel.weight_sum > limit;
-            }
-        }
-        over
+        Self::with(Level::new())
     }
 }
 
 impl Gather {
+    fn with(level: Level) -> Self {
+        Self {
+            level,
+            lanes: (0..LANES).map(|_| Near::default()).collect(),
+            shards: (0..SHARDS).map(|_| Named::default()).collect(),
+        }
+    }
+
+    /// The vector instructions to use.
+    pub(crate) fn level(&self) -> Level {
+        self.level
+    }
+
     /// Lets each of `items` items name the blocks it may touch, then updates those blocks, and the blocks of the map that
     /// are `visible` although no item named them.
     ///
-    /// `update` is called once per block, with what named it, sorted by tag, on any thread (and again for each further 256
-    /// names). It updates a voxel at most 64 times for each name. Blocks are made only if they get an update.
+    /// `update` is called once per block, with the tags under which it was named, ascending, on any thread (and again for
+    /// each further 256 tags). It updates a voxel at most 64 times for each tag. Blocks are made only if they get an update.
     pub(crate) fn run(
         &mut self,
         map: &mut VoxelMap,
         items: usize,
         near: impl Fn(usize, &mut Near) -> Result<(), Skip> + Sync,
         visible: impl Fn(BlockIndex) -> bool + Sync,
-        update: impl Fn(BlockIndex, &[Named], &mut Updates) + Sync,
+        update: impl Fn(BlockIndex, &[u32], &mut Updates) + Sync,
     ) -> Integration {
         let (stamp, limit) = map.begin_integration();
         self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
-            lane.counts = Counts::default();
-            lane.buckets.iter_mut().for_each(Vec::clear);
+            lane.clear();
             for i in items * k / LANES..items * (k + 1) / LANES {
                 let done = near(i, lane);
                 lane.counts.count(done);
             }
         });
         let lanes = &self.lanes;
-        let shards = map.shards.par_iter_mut().zip(&mut self.named).enumerate();
+        let level = self.level;
+        let shards = map.shards.par_iter_mut().zip(&mut self.shards).enumerate();
         let touched: Vec<Vec<BlockIndex>> = shards
             .map(|(s, (shard, named))| {
-                named.clear();
-                lanes.iter().for_each(|lane| named.extend(&lane.buckets[s]));
-                named.sort_unstable();
-                named.dedup();
-                update_shard(shard, named, &visible, &update, (stamp, limit))
+                named.collect(lanes.iter().map(|lane| &lane.buckets[s]));
+                let writer = Writer { stamp, limit, level };
+                writer.update_shard(shard, named, &visible, &update)
             })
             .collect();
         let mut done = Integration {
@@ -198,40 +136,284 @@ impl Gather {
     }
 }
 
-/// Pass 2 for one shard.
-fn update_shard(
-    shard: &mut Shard,
-    named: &[Named],
-    visible: impl Fn(BlockIndex) -> bool,
-    update: impl Fn(BlockIndex, &[Named], &mut Updates),
-    (stamp, limit): (u32, u32),
-) -> Vec<BlockIndex> {
-    let mut touched = Vec::new();
-    let mut updates = Updates::NONE;
-    let mut visit = |shard: &mut Shard, block: BlockIndex, items: &[Named]| {
-        updates.clear();
-        update(block, items, &mut updates);
-        if updates.is_empty() {
-            return;
+/// Which blocks the items of one piece of a scan may touch: what pass 1 writes to.
+#[derive(Debug)]
+pub(crate) struct Near {
+    addresses: HashMap<BlockIndex, Address, FxBuildHasher>,
+    /// The addresses of the blocks named last, by the low bits of their indices.
+    recent: [(BlockIndex, Address); 64],
+    buckets: Vec<Bucket>,
+    counts: Counts,
+}
+
+/// What a lane says of one shard.
+#[derive(Debug, Default)]
+struct Bucket {
+    /// Each block once, with the tag that named it last.
+    blocks: Vec<(BlockIndex, u32)>,
+    /// Number of the block in `blocks`, and tag.
+    names: Vec<(u32, u32)>,
+}
+
+/// Where the names of a block go: shard, and number of the block in its bucket.
+#[derive(Clone, Copy, Debug)]
+struct Address {
+    shard: u32,
+    number: u32,
+}
+
+/// A block that no map holds.
+const NOWHERE: BlockIndex = BlockIndex(glam::IVec3::MIN);
+
+const NO_ADDRESS: (BlockIndex, Address) = (NOWHERE, Address { shard: 0, number: 0 });
+
+impl Default for Near {
+    fn default() -> Self {
+        Self {
+            addresses: HashMap::default(),
+            recent: [NO_ADDRESS; 64],
+            buckets: (0..SHARDS).map(|_| Bucket::default()).collect(),
+            counts: Counts::default(),
         }
-        let slot = shard.slot_or_insert(block);
-        if shard.touch(slot, stamp) {
-            touched.push(block);
+    }
+}
+
+impl Near {
+    fn clear(&mut self) {
+        self.addresses.clear();
+        self.recent = [NO_ADDRESS; 64];
+        for bucket in &mut self.buckets {
+            bucket.blocks.clear();
+            bucket.names.clear();
         }
-        if updates.add_to(&mut shard.blocks_mut()[slot as usize], limit) {
-            shard.limit_weights(slot, limit);
+        self.counts = Counts::default();
+    }
+
+    /// Names a block, with what its update wants to know: the number of the item, or always 0. Twice the same counts once.
+    #[inline]
+    pub(crate) fn block(&mut self, block: BlockIndex, tag: u32) {
+        let low = block.0 & 3;
+        let recent = (low.x | low.y << 2 | low.z << 4) as usize;
+        if self.recent[recent].0 != block {
+            self.recent[recent] = (block, self.address(block));
         }
+        let Address { shard, number } = self.recent[recent].1;
+        let bucket = &mut self.buckets[shard as usize];
+        let last = &mut bucket.blocks[number as usize].1;
+        if *last != tag {
+            *last = tag;
+            bucket.names.push((number, tag));
+        }
+    }
+
+    /// The blocks that were named.
+    #[cfg(test)]
+    pub(crate) fn named(&self) -> impl Iterator<Item = BlockIndex> {
+        self.buckets.iter().flat_map(|bucket| bucket.blocks.iter().map(|b| b.0))
+    }
+
+    fn address(&mut self, block: BlockIndex) -> Address {
+        *self.addresses.entry(block).or_insert_with(|| {
+            let shard = shard_of(block);
+            let blocks = &mut self.buckets[shard].blocks;
+            blocks.push((block, u32::MAX)); // no tag: there are fewer items
+            Address {
+                shard: shard as u32,
+                number: (blocks.len() - 1) as u32,
+            }
+        })
+    }
+}
+
+/// The names of all lanes for one shard, by block.
+#[derive(Debug, Default)]
+struct Named {
+    blocks: Vec<BlockIndex>,
+    numbers: HashMap<BlockIndex, u32, FxBuildHasher>,
+    /// For each lane's blocks, one lane after the other: the number in `blocks`.
+    numbers_of_lanes: Vec<u32>,
+    /// Where the tags of each block end.
+    ends: Vec<u32>,
+    tags: Vec<u32>,
+}
+
+impl Named {
+    /// A counting sort: the lanes hold ascending parts of the items, so that the tags of a block ascend.
+    fn collect<'a>(&mut self, buckets: impl Iterator<Item = &'a Bucket> + Clone) {
+        self.blocks.clear();
+        self.numbers.clear();
+        self.numbers_of_lanes.clear();
+        self.ends.clear();
+        for bucket in buckets.clone() {
+            let first = self.numbers_of_lanes.len();
+            for &(block, _) in &bucket.blocks {
+                let number = *self.numbers.entry(block).or_insert_with(|| {
+                    self.blocks.push(block);
+                    self.ends.push(0);
+                    (self.blocks.len() - 1) as u32
+                });
+                self.numbers_of_lanes.push(number);
+            }
+            let numbers = &self.numbers_of_lanes[first..];
+            for &(number, _) in &bucket.names {
+                self.ends[numbers[number as usize] as usize] += 1;
+            }
+        }
+        let mut sum = 0;
+        for end in &mut self.ends {
+            (*end, sum) = (sum, sum + *end); // where they start, for now
+        }
+        self.tags.clear();
+        self.tags.resize(sum as usize, 0);
+        let mut first = 0;
+        for bucket in buckets {
+            let numbers = &self.numbers_of_lanes[first..];
+            for &(number, tag) in &bucket.names {
+                let end = &mut self.ends[numbers[number as usize] as usize];
+                self.tags[*end as usize] = tag;
+                *end += 1;
+            }
+            first += bucket.blocks.len();
+        }
+    }
+
+    /// Each block with its tags, ascending; twice the same only where one lane ends and the next begins.
+    fn by_block(&self) -> impl Iterator<Item = (BlockIndex, &[u32])> {
+        let mut start = 0;
+        self.blocks.iter().zip(&self.ends).map(move |(&block, &end)| {
+            let range = std::mem::replace(&mut start, end as usize)..end as usize;
+            (block, &self.tags[range])
+        })
+    }
+}
+
+/// The updates of one block in one scan.
+#[derive(Debug)]
+pub(crate) struct Updates {
+    weights: [[i32; ROW]; ROWS],
+    distances: [[i32; ROW]; ROWS],
+    /// A bit for each row whose sums may not be 0.
+    rows: u64,
+}
+
+/// A block's updates are added up for so many tags at a time: the sums, of at most 2⁶ updates a tag and 2¹⁵ an update, are
+/// at most 2²⁹.
+const TAGS: usize = 1 << 8;
+
+impl Updates {
+    const NONE: Self = Self {
+        weights: [[0; ROW]; ROWS],
+        distances: [[0; ROW]; ROWS],
+        rows: 0,
     };
-    let seen: Vec<BlockIndex> = shard.indices().iter().copied().filter(|&b| visible(b)).collect();
-    for items in named.chunk_by(|a, b| a.0 == b.0) {
-        items.chunks(NAMES).for_each(|items| visit(shard, items[0].0, items));
+
+    /// Adds an update to the voxel with number `local`: distance over μ (clamped to ±1) and weight (clamped to 0..=1; too
+    /// little is no update).
+    #[inline(always)]
+    pub(crate) fn add(&mut self, local: usize, distance: f32, weight: f32) {
+        let (weight, distance) = fixed(distance, weight);
+        let (row, x) = (local / ROW % ROWS, local % ROW);
+        self.rows |= 1 << row;
+        self.weights[row][x] += weight;
+        self.distances[row][x] += distance;
     }
-    for block in seen {
-        if named.binary_search_by_key(&block, |n| n.0).is_err() {
-            visit(shard, block, &[]);
+
+    /// Adds an update to those of the eight voxels of a row, `row` = y + 8 z, that are `inside`; distances and weights as for
+    /// [`Updates::add`], with the same rounding.
+    #[inline(always)]
+    pub(crate) fn add_row<S: Simd>(
+        &mut self,
+        row: usize,
+        inside: mask32x8<S>,
+        distance: f32x8<S>,
+        weight: f32x8<S>,
+    ) {
+        // As `fixed` does.
+        let scaled = weight.max(0.0).min(1.0) * WEIGHT_SCALE as f32 + ROUND;
+        let product = distance.max(-1.0).min(1.0) * (scaled - ROUND) + ROUND;
+        let integer = |x: f32x8<S>| x.bitcast::<i32x8<S>>() - ROUND.to_bits() as i32;
+        let row = row % ROWS;
+        self.rows |= u64::from(inside.any_true()) << row;
+        for (sums, new) in [(&mut self.weights[row], scaled), (&mut self.distances[row], product)] {
+            let none = i32x8::splat(new.token(), 0);
+            let sum = i32x8::simd_from(new.token(), *sums) + inside.select(integer(new), none);
+            *sums = sum.into();
         }
     }
-    touched
+
+    /// The rows that may have sums.
+    fn used_rows(&self) -> impl Iterator<Item = usize> + use<> {
+        let mut left = self.rows;
+        std::iter::from_fn(move || {
+            let row = left.trailing_zeros() as usize;
+            left &= left.wrapping_sub(1);
+            (row < ROWS).then_some(row)
+        })
+    }
+
+    fn is_empty(&self) -> bool {
+        self.used_rows().all(|row| self.weights[row] == [0; ROW])
+    }
+
+    /// Adds the sums to a block and forgets them; whether a voxel's weight is now beyond `limit`.
+    #[inline(always)]
+    fn move_to(&mut self, block: &mut Block, limit: u32) -> bool {
+        let mut most = 0;
+        for row in self.used_rows() {
+            let voxels: Range<usize> = ROW * row..ROW * (row + 1);
+            let (weights, distances) = (&mut self.weights[row], &mut self.distances[row]);
+            for (x, voxel) in block.voxels[voxels].iter_mut().enumerate() {
+                voxel.add_sums(weights[x], distances[x]);
+                most = most.max(voxel.weight_sum);
+            }
+            (*weights, *distances) = ([0; ROW], [0; ROW]);
+        }
+        self.rows = 0;
+        most > limit
+    }
+}
+
+/// Pass 2.
+#[derive(Clone, Copy)]
+struct Writer {
+    stamp: u32,
+    limit: u32,
+    level: Level,
+}
+
+impl Writer {
+    fn update_shard(
+        self,
+        shard: &mut Shard,
+        named: &Named,
+        visible: impl Fn(BlockIndex) -> bool,
+        update: impl Fn(BlockIndex, &[u32], &mut Updates),
+    ) -> Vec<BlockIndex> {
+        let mut touched = Vec::new();
+        let mut updates = Updates::NONE;
+        let mut visit = |shard: &mut Shard, block: BlockIndex, tags: &[u32]| {
+            update(block, tags, &mut updates);
+            if updates.is_empty() {
+                updates.rows = 0;
+                return;
+            }
+            let slot = shard.slot_or_insert(block);
+            if shard.touch(slot, self.stamp) {
+                touched.push(block);
+            }
+            let block = &mut shard.blocks_mut()[slot as usize];
+            if dispatch!(self.level, _ => updates.move_to(block, self.limit)) {
+                shard.limit_weights(slot, self.limit);
+            }
+        };
+        let seen = shard.indices().iter().copied().filter(|&b| visible(b) && !named.numbers.contains_key(&b));
+        let seen: Vec<BlockIndex> = seen.collect();
+        for (block, tags) in named.by_block() {
+            tags.chunks(TAGS).for_each(|tags| visit(shard, block, tags));
+        }
+        seen.into_iter().for_each(|block| visit(shard, block, &[]));
+        touched
+    }
 }
 
 #[cfg(test)]
@@ -248,7 +430,9 @@ mod tests {
         })
         .unwrap();
         let [full, empty] = [0, 1].map(|x| BlockIndex(IVec3::new(x, -2, 3)));
-        let done = Gather::default().run(
+        let mut gather = Gather::default();
+        let level = gather.level();
+        let done = gather.run(
             &mut map,
             1000,
             |i, near| {
@@ -257,16 +441,16 @@ mod tests {
                 Ok(())
             },
             |_| false,
-            |block, names, updates| {
-                for &(_, tag) in names {
+            |block, tags, updates| {
+                for &tag in tags {
                     let weight = if block == full { tag as f32 / 1000.0 } else { 0.0 };
-                    let update = |x: f32| (x / 4.0 - 1.0, weight);
+                    let distances = [0, 1, 2, 3, 4, 5, 6, 7].map(|x| x as f32 / 4.0 - 1.0);
                     match by_row {
-                        true => updates.add_row(5, update),
-                        false => (0..8).for_each(|x| {
-                            let (distance, weight) = update(x as f32);
-                            updates.add(40 + x, distance, weight);
+                        true => dispatch!(level, simd => {
+                            let all = mask32x8::splat(simd, true);
+                            updates.add_row(5, all, f32x8::simd_from(simd, distances), f32x8::splat(simd, weight));
                         }),
+                        false => (0..8).for_each(|x| updates.add(40 + x, distances[x], weight)),
                     }
                 }
             },

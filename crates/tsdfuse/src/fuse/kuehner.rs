@@ -18,11 +18,10 @@ use glam::{Mat3, Vec2, Vec3};
 use super::{
     FuseError, Integration, Integrator, Skipped,
     beams::Beams,
-    centers::{Centers, ROW},
+    centers::Centers,
     depth::world_axes,
-    gather::{Gather, Near, Updates},
+    gather::{Gather, Near, ROW, Skip, Updates},
     placed::Placed,
-    scatter::Skip,
 };
 use crate::{
     index::{Anchor, BlockIndex},

@@ -17,7 +17,7 @@ mod pierced;
 mod placed;
 mod raycast;
 mod roldao;
-mod scatter;
+mod shafts;
 mod surfel;
 
 use serde::{Deserialize, Serialize};

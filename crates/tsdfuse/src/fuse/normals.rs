@@ -9,12 +9,15 @@
 
 use std::{f32::consts::PI, time::Instant};
 
+use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
+
 use super::{
     FuseError, Integration, Integrator,
     beams::Beams,
-    cylinder::{Cylinder, VOXEL_RADIUS},
+    cylinder::{Cylinder, Row, VOXEL_RADIUS},
+    gather::Skip,
     placed::Placed,
-    scatter::{Scatter, Skip},
+    shafts::{Rule, Shaft, Shafts},
 };
 use crate::{
     map::VoxelMap,
@@ -31,7 +34,7 @@ pub struct Normals {
     placed: Placed,
     image: ScanImage,
     normals: Vec<Normal>,
-    scatter: Scatter,
+    shafts: Shafts,
 }
 
 impl Normals {
@@ -66,7 +69,7 @@ impl Integrator for Normals {
 
         let truncation = map.config().truncation_vox();
         let (placed, normals) = (&self.placed, &self.normals);
-        let integration = self.scatter.run(map, placed.len(), |i, lane| {
+        let shaft = |i| {
             let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
             let Normal { normal, agreement } = normals[i];
             if !normals[i].is_some() {
@@ -78,19 +81,24 @@ impl Integrator for Normals {
             if !(weight > 0.0) {
                 return Err(Skip::WithoutWeight);
             }
-            let about = Cylinder {
-                center: ray.end,
-                axis: normal,
-                radius: VOXEL_RADIUS,
-                half_length: truncation,
-            };
-            lane.approach(about.lowest_voxel());
-            about.for_each(|v| lane.update(v.voxel, v.along / truncation, weight)); // (5.16)
-            Ok(())
-        });
+            let about = Cylinder::new(ray.end, normal, VOXEL_RADIUS, truncation);
+            Ok(Shaft { about, weight })
+        };
+        let integration = self.shafts.run(map, placed.len(), shaft, &AlongNormal);
         Ok(Integration {
             prepare_secs,
             ..integration
         })
+    }
+}
+
+struct AlongNormal;
+
+impl Rule for AlongNormal {
+    #[inline(always)]
+    fn of<S: Simd>(&self, simd: S, shaft: &Shaft) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+        let Cylinder { radius, half_length, .. } = shaft.about;
+        let (weight, inverse) = (f32x8::splat(simd, shaft.weight), 1.0 / half_length);
+        move |v| (v.within(radius, half_length), v.along * inverse, weight) // (5.14)(5.15)(5.16)
     }
 }

@@ -1,11 +1,13 @@
-//! The voxels that a line passes through (Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", 1987).
+//! The voxels, and the blocks, that a line passes through.
 //!
-//! The time at which the line crosses a voxel border is computed from the border's number, never summed up: so the walk and
-//! the literal test "does the line spend time in this voxel?" use the same numbers and agree exactly.
+//! A voxel is pierced if the line spends time in it: it enters where it has crossed the last of the three borders towards it,
+//! and leaves at the first of the three borders behind. The times of crossing are computed from the numbers of the borders,
+//! never summed up, so that neighbours agree on the border between them.
 
+use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
 use glam::{IVec3, Vec3, Vec3A};
 
-use super::cylinder::Member;
+use super::cylinder::{Cylinder, Row};
 use crate::index::{BLOCK_EDGE, BlockIndex, GridPoint, round};
 
 /// A line through `center` along the unit vector `axis`, of which the part within `half_length` voxels of `center` counts.
@@ -19,48 +21,48 @@ pub(crate) struct Segment {
 /// An axis along which the line moves slower than this counts as standing still.
 const STILL: f32 = 1e-6;
 
+/// Which voxels the line of a [`Cylinder`] passes through.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Piercing {
+    fraction: Vec3,
+    /// Of the axis; infinite where the line stands still.
+    inverse: Vec3,
+}
+
+impl Piercing {
+    pub(crate) fn by(line: &Cylinder) -> Self {
+        let Vec3 { x, y, z } = line.axis;
+        let still = [x, y, z].map(|a| a.abs() < STILL);
+        let fraction = line.center.fraction;
+        // A line that stands still on a border is taken to be just inside, so that 0·∞ never comes up.
+        let inner = fraction.clamp(Vec3::splat(STILL), Vec3::splat(1.0 - STILL));
+        let pick = |k: usize, moving: f32, still_one: f32| if still[k] { still_one } else { moving };
+        Self {
+            fraction: Vec3::from_array([0, 1, 2].map(|k| pick(k, fraction[k], inner[k]))),
+            inverse: Vec3::from_array([0, 1, 2].map(|k| pick(k, 1.0 / line.axis[k], f32::INFINITY))),
+        }
+    }
+
+    /// Those of eight voxels that the line passes through.
+    #[inline(always)]
+    pub(crate) fn pierced<S: Simd>(&self, row: &Row<S>) -> mask32x8<S> {
+        let simd = row.along.token();
+        let (y, z) = (f32x8::splat(simd, row.y), f32x8::splat(simd, row.z));
+        let [x, y, z] = [self.times(0, row.x), self.times(1, y), self.times(2, z)];
+        let enter = x.0.max(y.0).max(z.0);
+        x.1.min(y.1).min(z.1).simd_gt(enter)
+    }
+
+    /// When the line is between the borders of cells, numbered along one axis.
+    #[inline(always)]
+    fn times<S: Simd>(&self, axis: usize, cell: f32x8<S>) -> (f32x8<S>, f32x8<S>) {
+        let (fraction, inverse) = (self.fraction[axis], self.inverse[axis]);
+        let (low, high) = ((cell - fraction) * inverse, (cell + 1.0 - fraction) * inverse);
+        (low.min(high), low.max(high))
+    }
+}
+
 impl Segment {
-    /// Half the length of the walk: a voxel whose centre is at most `half_length` from `center` is pierced within it.
-    fn reach(&self) -> f32 {
-        self.half_length + super::cylinder::VOXEL_RADIUS + 0.01
-    }
-
-    /// The voxel with the lowest coordinates that the segment may pierce.
-    pub(crate) fn lowest_voxel(&self) -> IVec3 {
-        self.center.voxel - (self.reach() * self.axis.abs()).as_ivec3() - 1
-    }
-
-    /// The voxel's place relative to the segment's, if its centre is at most `half_length` from `center`.
-    #[inline]
-    fn member(&self, cell: Vec3A) -> Option<Member> {
-        let offset = cell + 0.5 - Vec3A::from(self.center.fraction);
-        let distance2 = offset.length_squared();
-        let along = offset.dot(self.axis.into());
-        let near = distance2 <= self.half_length * self.half_length;
-        let voxel = self.center.voxel + IVec3::from(cell.to_array().map(round));
-        near.then_some(Member {
-            voxel,
-            distance2,
-            along,
-        })
-    }
-
-    /// When the line crosses the border below cell `border` of one axis.
-    #[inline]
-    fn crossing(inverse: f32, border: f32, center: f32) -> f32 {
-        (border - center) * inverse
-    }
-
-    /// Visits every pierced voxel once, in order along the line.
-    #[inline]
-    pub(crate) fn for_each(&self, mut visit: impl FnMut(Member)) {
-        self.walk(self.reach(), |cell| {
-            if let Some(member) = self.member(cell) {
-                visit(member);
-            }
-        });
-    }
-
     /// Visits every block that the segment passes through.
     pub(crate) fn for_each_block(&self, mut visit: impl FnMut(BlockIndex)) {
         let block = BlockIndex::of(self.center.voxel);
@@ -97,10 +99,10 @@ impl Segment {
             step[k] = 2.0 * ahead - 1.0;
             border[k] = round(center - axis * reach - 0.5) as f32 + ahead;
             // This may be a neighbour's: the crossing times decide.
-            while Self::crossing(inverse[k], border[k], center) <= -reach {
+            while crossing(inverse[k], border[k], center) <= -reach {
                 border[k] += step[k];
             }
-            while Self::crossing(inverse[k], border[k] - step[k], center) > -reach {
+            while crossing(inverse[k], border[k] - step[k], center) > -reach {
                 border[k] -= step[k];
             }
             cell[k] = border[k] - ahead;
@@ -123,36 +125,39 @@ impl Segment {
     }
 }
 
+/// When the line crosses the border below cell `border` of one axis.
+#[inline]
+fn crossing(inverse: f32, border: f32, center: f32) -> f32 {
+    (border - center) * inverse
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fuse::cylinder::{VOXEL_RADIUS, tests::{any_cylinder, literal}};
     use proptest::prelude::*;
 
-    /// Every voxel of a cube, tested by its own six borders.
-    fn literal(s: &Segment) -> Vec<Member> {
-        let reach = s.reach();
-        let n = reach.ceil() as i32 + 2;
-        let mut all = Vec::new();
-        for (z, y, x) in (-n..=n).flat_map(|z| (-n..=n).flat_map(move |y| (-n..=n).map(move |x| (z, y, x)))) {
-            let cell = IVec3::new(x, y, z);
-            let (mut enter, mut leave) = (-reach, f32::INFINITY);
-            for k in 0..3 {
-                let (a, c) = (s.axis[k], s.center.fraction[k]);
-                if a.abs() < STILL {
-                    if cell[k] != c.floor() as i32 {
-                        leave = f32::NEG_INFINITY;
-                    }
-                } else {
-                    let times = [0, 1].map(|b| Segment::crossing(1.0 / a, (cell[k] + b) as f32, c));
-                    enter = enter.max(times[0].min(times[1]));
-                    leave = leave.min(times[0].max(times[1]));
+    /// Whether the line spends time in the voxel at `v`, axis by axis, in f64; `None` if it is too close to tell.
+    fn is_pierced(line: &Cylinder, cell: Vec3) -> Option<bool> {
+        let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+        for k in 0..3 {
+            let (a, c) = (f64::from(line.axis[k]), f64::from(line.center.fraction[k]));
+            let borders = [0.0, 1.0].map(|b| f64::from(cell[k]) + b - c);
+            if a.abs() < f64::from(STILL) {
+                if borders.iter().any(|b| b.abs() < 1e-5) {
+                    return None;
                 }
-            }
-            if leave > enter && enter < reach {
-                all.extend(s.member(cell.as_vec3a()));
+                if borders[0] > 0.0 || borders[1] < 0.0 {
+                    return Some(false);
+                }
+            } else {
+                let times = borders.map(|b| b / a);
+                enter = enter.max(times[0].min(times[1]));
+                leave = leave.min(times[0].max(times[1]));
             }
         }
-        all
+        let lasts = leave - enter;
+        (lasts.abs() > 1e-4 * (1.0 + enter.abs())).then_some(lasts > 0.0)
     }
 
     fn any_segment() -> impl Strategy<Value = Segment> {
@@ -173,23 +178,6 @@ mod tests {
                 half_length,
             })
         })
-    }
-
-    fn walked(s: &Segment) -> Vec<Member> {
-        let mut all = Vec::new();
-        s.for_each(|m| all.push(m));
-        all
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(2000))]
-        #[test]
-        fn the_walk_visits_what_the_literal_test_finds(s in any_segment()) {
-            let (mut fast, mut slow) = (walked(&s), literal(&s));
-            fast.sort_by_key(|m| m.voxel.to_array());
-            slow.sort_by_key(|m| m.voxel.to_array());
-            prop_assert_eq!(fast, slow);
-        }
     }
 
     /// Every block near the segment that a fine walk along it meets.
@@ -216,20 +204,51 @@ mod tests {
         }
     }
 
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(1000))]
+        #[test]
+        fn pierced_voxels_are_those_that_the_line_spends_time_in(line in any_cylinder(Just(VOXEL_RADIUS))) {
+            let found = pierced(&line);
+            for voxel in literal(&line, |_, _| true) {
+                if let Some(wanted) = is_pierced(&line, (voxel - line.center.voxel).as_vec3()) {
+                    let (v, along) = (voxel, ((voxel - line.center.voxel).as_vec3() + 0.5 - line.center.fraction).dot(line.axis));
+                    let inside = along.abs() < line.half_length - 1e-3;
+                    prop_assert!(!inside || wanted == found.contains(&v), "{v} {wanted}");
+                }
+            }
+        }
+    }
+
+    /// The pierced voxels of a cylinder.
+    fn pierced(line: &Cylinder) -> Vec<IVec3> {
+        let piercing = Piercing::by(line);
+        let simd = fearless_simd::Level::baseline();
+        let mut near = crate::fuse::gather::Near::default();
+        line.name_blocks(0, &mut near);
+        let mut all = Vec::new();
+        for block in near.named() {
+            fearless_simd::dispatch!(simd, simd => line.for_each_row(simd, block, |row, v| {
+                let mask = (piercing.pierced(v) & v.within(line.radius, line.half_length)).to_bitmask();
+                let first = block.first_voxel() + IVec3::new(0, row as i32 % 8, row as i32 / 8);
+                all.extend((0..8).filter(|x| mask >> x & 1 == 1).map(|x| first + IVec3::X * x));
+            }));
+        }
+        all
+    }
+
     #[test]
-    fn a_line_along_an_axis_visits_one_voxel_after_the_other() {
-        let center = GridPoint {
-            voxel: IVec3::ZERO,
-            fraction: Vec3::splat(0.5),
-        };
-        let x: Vec<i32> = walked(&Segment {
-            center,
-            axis: -Vec3::X,
-            half_length: 4.0,
-        })
-        .iter()
-        .map(|m| m.voxel.x)
-        .collect();
-        assert_eq!(x, [4, 3, 2, 1, 0, -1, -2, -3, -4]);
+    fn a_line_along_an_axis_pierces_one_voxel_after_the_other() {
+        for fraction in [0.0, 0.3, 0.5, 1.0] {
+            for axis in [Vec3::X, -Vec3::Y, Vec3::Z] {
+                let center = GridPoint {
+                    voxel: IVec3::new(-3, 6, 9),
+                    fraction: Vec3::splat(fraction),
+                };
+                let found = pierced(&Cylinder::new(center, axis, VOXEL_RADIUS, 4.2));
+                assert!((8..=9).contains(&found.len()), "{fraction} {axis}: {found:?}");
+                let beside = |v: &IVec3| ((*v - found[0]).as_vec3() * (Vec3::ONE - axis.abs())).length() > 0.0;
+                assert!(!found.iter().any(beside), "{fraction} {axis}: {found:?}");
+            }
+        }
     }
 }

@@ -16,14 +16,16 @@
 
 use std::time::Instant;
 
+use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
 use serde::{Deserialize, Serialize};
 
 use super::{
     FuseError, Integration, Integrator,
-    cylinder::{Cylinder, VOXEL_RADIUS},
-    pierced::Segment,
+    cylinder::{Cylinder, Row, VOXEL_RADIUS},
+    gather::Skip,
+    pierced::Piercing,
     placed::Placed,
-    scatter::{Scatter, Skip},
+    shafts::{Rule, Shaft, Shafts},
 };
 use crate::{map::VoxelMap, scan::Scan};
 
@@ -51,7 +53,7 @@ pub struct RaycastConfig {
 pub struct Raycast {
     config: RaycastConfig,
     placed: Placed,
-    scatter: Scatter,
+    shafts: Shafts,
 }
 
 impl Raycast {
@@ -71,44 +73,16 @@ impl Integrator for Raycast {
         let prepare_secs = start.elapsed().as_secs_f64();
 
         let truncation = map.config().truncation_vox();
-        let inverse = 1.0 / truncation;
-        let behind = Behind::new(truncation);
         let placed = &self.placed;
+        let shaft = |i| {
+            let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
+            let about = Cylinder::new(ray.end, ray.direction, VOXEL_RADIUS, truncation);
+            let weight = (1.0 / ray.range_m).min(1.0); // (5.8)
+            Ok(Shaft { about, weight })
+        };
         let integration = match self.config.distance {
-            Distance::Euclidean => self.scatter.run(map, placed.len(), |i, lane| {
-                let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
-                let weight = weight(ray.range_m);
-                let about = Cylinder {
-                    center: ray.end,
-                    axis: ray.direction,
-                    radius: VOXEL_RADIUS,
-                    half_length: truncation,
-                };
-                lane.approach(about.lowest_voxel());
-                about.for_each(|v| {
-                    if v.distance2 <= truncation * truncation {
-                        let f = -v.along.signum() * v.distance2.sqrt() * inverse; // (5.7)
-                        lane.update(v.voxel, f, weight);
-                    }
-                });
-                Ok(())
-            }),
-            Distance::Projective => self.scatter.run(map, placed.len(), |i, lane| {
-                let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
-                let weight = weight(ray.range_m);
-                let on = Segment {
-                    center: ray.end,
-                    axis: ray.direction,
-                    half_length: truncation,
-                };
-                lane.approach(on.lowest_voxel());
-                on.for_each(|v| {
-                    let off_axis2 = v.distance2 - v.along * v.along;
-                    let beside = 1.0 - off_axis2 * (1.0 / (VOXEL_RADIUS * VOXEL_RADIUS));
-                    lane.update(v.voxel, -v.along * inverse, weight * beside * behind.factor(v.along));
-                });
-                Ok(())
-            }),
+            Distance::Euclidean => self.shafts.run(map, placed.len(), shaft, &Euclidean { truncation }),
+            Distance::Projective => self.shafts.run(map, placed.len(), shaft, &Projective { truncation }),
         };
         Ok(Integration {
             prepare_secs,
@@ -117,32 +91,42 @@ impl Integrator for Raycast {
     }
 }
 
-/// The weight of a return (5.8).
-#[inline]
-fn weight(range_m: f32) -> f32 {
-    (1.0 / range_m).min(1.0)
-}
-
-/// How much is known about voxels behind the surface.
-#[derive(Clone, Copy)]
-struct Behind {
+/// The thesis's form.
+struct Euclidean {
     truncation: f32,
-    slope: f32,
 }
 
-impl Behind {
-    /// For a band of `truncation` voxels: fully known down to 1.5 voxels, enough for the noise of ranges to cancel, or half the
-    /// band if that is less.
-    fn new(truncation: f32) -> Self {
-        Self {
-            truncation,
-            slope: 1.0 / (truncation - (0.5 * truncation).min(1.5)),
+impl Rule for Euclidean {
+    #[inline(always)]
+    fn of<S: Simd>(&self, simd: S, shaft: &Shaft) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+        let (truncation, inverse) = (self.truncation, 1.0 / self.truncation);
+        let weight = f32x8::splat(simd, shaft.weight);
+        move |v| {
+            let inside = v.within(VOXEL_RADIUS, truncation) & v.distance2.simd_le(truncation * truncation);
+            let distance = (v.distance2.sqrt() * inverse).copysign(-v.along); // (5.7)
+            (inside, distance, weight)
         }
     }
+}
 
-    /// The factor at `depth` voxels behind the surface (in front: negative), 1 … 0.
-    #[inline]
-    fn factor(self, depth: f32) -> f32 {
-        ((self.truncation - depth) * self.slope).clamp(0.0, 1.0).powi(2)
+/// The related work's form.
+struct Projective {
+    truncation: f32,
+}
+
+impl Rule for Projective {
+    #[inline(always)]
+    fn of<S: Simd>(&self, _: S, shaft: &Shaft) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+        let (truncation, inverse) = (self.truncation, 1.0 / self.truncation);
+        // Fully known down to 1.5 voxels behind the surface, enough for the noise of ranges to cancel, or half the band.
+        let slope = 1.0 / (truncation - (0.5 * truncation).min(1.5));
+        let piercing = Piercing::by(&shaft.about);
+        let weight = shaft.weight;
+        move |v| {
+            let inside = piercing.pierced(v) & v.distance2.simd_le(truncation * truncation);
+            let beside = 1.0 - (v.distance2 - v.along * v.along) * (1.0 / (VOXEL_RADIUS * VOXEL_RADIUS));
+            let behind = ((truncation - v.along) * slope).max(0.0).min(1.0);
+            (inside, -v.along * inverse, beside * weight * (behind * behind))
+        }
     }
 }

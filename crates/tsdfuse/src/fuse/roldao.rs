@@ -149,8 +149,8 @@ impl Roldao {
             }
             Ok(())
         };
-        let blocks_about = |block, named: &[(BlockIndex, u32)], updates: &mut _| {
-            let cells = named.iter().map(|&(_, i)| blocks[i as usize]);
+        let blocks_about = |block, tags: &[u32], updates: &mut _| {
+            let cells = tags.iter().map(|&i| blocks[i as usize]);
             adaptive.update(block, cells, updates);
         };
         self.gather.run(map, blocks.len(), name, |_| false, blocks_about)
