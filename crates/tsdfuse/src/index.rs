@@ -69,7 +69,7 @@ pub fn voxel_at(block: BlockIndex, local: usize) -> IVec3 {
 }
 
 /// A place in the grid: a voxel, and the position within it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GridPoint {
     /// The voxel that holds the point.
     pub voxel: IVec3,

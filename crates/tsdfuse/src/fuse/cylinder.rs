@@ -7,7 +7,7 @@
 use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
 use glam::{IVec3, Vec3};
 
-use super::gather::{Near, ROW, ROWS};
+use super::gather::{ROW, ROWS};
 use crate::index::{BLOCK_EDGE, BlockIndex, GridPoint, round};
 
 /// √3/2: the largest distance of a point in a voxel to its centre, in voxels (5.6).
@@ -21,7 +21,7 @@ const HALF_BLOCK: f32 = 0.5 * (BLOCK_EDGE - 1) as f32;
 
 /// All voxels whose centre is at most `radius` from the line through `center` along `axis`, and at most `half_length` from
 /// the plane through `center` across it. Lengths in voxels, `axis` of unit length.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Cylinder {
     pub(crate) center: GridPoint,
     pub(crate) axis: Vec3,
@@ -29,6 +29,8 @@ pub(crate) struct Cylinder {
     pub(crate) half_length: f32,
     /// Half the edges of the bounding box.
     half_box: Vec3,
+    /// 1/√(1 − a_x²): how much farther it is along x than straight to the axis; not infinite.
+    stretch_x: f32,
 }
 
 /// Eight voxels in a row, in voxels from the centre of a cylinder.
@@ -63,6 +65,7 @@ impl Cylinder {
             radius,
             half_length,
             half_box: axis.abs() * half_length + across * radius + SLACK,
+            stretch_x: 1.0 / across.x.max(1e-3),
         }
     }
 
@@ -72,21 +75,21 @@ impl Cylinder {
         (voxel - self.center.voxel).as_vec3() + 0.5 - self.center.fraction
     }
 
-    /// Names the blocks that the cylinder may reach into: column by column along the dominant axis.
+    /// Visits the blocks that the cylinder may reach into: column by column along the dominant axis.
     #[inline]
-    pub(crate) fn name_blocks(&self, tag: u32, near: &mut Near) {
+    pub(crate) fn for_each_block(&self, mut visit: impl FnMut(BlockIndex)) {
         let a = self.axis.abs();
         if a.x >= a.y && a.x >= a.z {
-            self.name_columns::<0, 1, 2>(tag, near);
+            self.for_each_column::<0, 1, 2>(&mut visit);
         } else if a.y >= a.z {
-            self.name_columns::<1, 2, 0>(tag, near);
+            self.for_each_column::<1, 2, 0>(&mut visit);
         } else {
-            self.name_columns::<2, 0, 1>(tag, near);
+            self.for_each_column::<2, 0, 1>(&mut visit);
         }
     }
 
     #[inline(always)]
-    fn name_columns<const M: usize, const U: usize, const W: usize>(&self, tag: u32, near: &mut Near) {
+    fn for_each_column<const M: usize, const U: usize, const W: usize>(&self, visit: &mut impl FnMut(BlockIndex)) {
         let edge = BLOCK_EDGE as f32;
         let home = BlockIndex::of(self.center.voxel);
         let middle = self.offset(home.first_voxel()) + HALF_BLOCK; // of the centre's block
@@ -117,7 +120,7 @@ impl Cylinder {
                     }
                     let mut block = home.0;
                     (block[M], block[U], block[W]) = (home.0[M] + m, home.0[U] + u, home.0[W] + w);
-                    near.block(BlockIndex(block), tag);
+                    visit(BlockIndex(block));
                 }
             }
         }
@@ -137,18 +140,15 @@ impl Cylinder {
         // Which rows: eight of them at a time, those with one z. A row is a line along x.
         let Vec3 { x: ax, y: ay, z: az } = self.axis;
         let middle = cell.x + 0.5 - self.center.fraction.x + HALF_BLOCK;
-        let across2 = (1.0 - ax * ax).max(1e-6);
-        let across = across2.sqrt();
-        let wide = self.radius * across + SLACK; // how near to the axis it must come, times `across`
-        let nearest = ax / across2; // where it comes nearest to the axis
-        let reach_x = HALF_BLOCK + self.radius / across + SLACK;
+        let wide = self.radius * (1.0 - ax * ax) * self.stretch_x + SLACK; // how near to the axis it must come, over `stretch_x`
+        let nearest = ax * self.stretch_x * self.stretch_x; // where it comes nearest to the axis
+        let reach_x = HALF_BLOCK + self.radius * self.stretch_x + SLACK;
         let thick = self.half_length + HALF_BLOCK * ax.abs() + SLACK; // how near to the plane its middle must be
         let in_box = y.abs().simd_le(self.half_box.y);
         let mut rows = 0_u64;
         let mut along_yz = [[0.0; ROW]; ROW];
         let mut distance2_yz = [[0.0; ROW]; ROW];
-        let first_z = cell.z + 0.5 - self.center.fraction.z;
-        for k in inside_block(-self.half_box.z - first_z, self.half_box.z - first_z) {
+        for k in 0..ROW {
             let z = (cell.z + k as f32) + 0.5 - self.center.fraction.z;
             let along = along_y + z * az;
             let near_line = (y * az - z * ay).abs().simd_le(wide) & (along * nearest - middle).abs().simd_le(reach_x);
@@ -157,6 +157,8 @@ impl Cylinder {
             along_yz[k] = along.into();
             distance2_yz[k] = (y2 + z * z).into();
         }
+        let first_z = cell.z + 0.5 - self.center.fraction.z;
+        rows &= layers(-self.half_box.z - first_z, self.half_box.z - first_z);
         while rows != 0 {
             let row = rows.trailing_zeros() as usize % ROWS;
             rows &= rows - 1;
@@ -173,11 +175,12 @@ impl Cylinder {
     }
 }
 
-/// The voxels of a block between two coordinates relative to its first one; either may lie far outside.
+/// The rows of a block between two coordinates z relative to its first one; either may lie far outside.
 #[inline(always)]
-fn inside_block(low: f32, high: f32) -> std::ops::Range<usize> {
-    let [low, high] = [low + 0.5, high + 0.5].map(|v| round(v.max(0.0).min(ROW as f32)) as usize);
-    low..high
+fn layers(low: f32, high: f32) -> u64 {
+    let [low, high] = [low, high].map(|z| round((z + 0.5).max(0.0).min(ROW as f32)) as u32);
+    let below = |k: u32| u64::MAX.checked_shr(64 - ROW as u32 * k).unwrap_or(0);
+    below(high) & !below(low)
 }
 
 #[cfg(test)]
@@ -189,10 +192,8 @@ pub(super) mod tests {
 
     /// Every block that any voxel of a cube lies in, in which every row is visited that the fast walk visits.
     pub(crate) fn visited(c: &Cylinder, inside: impl Fn(f32, f32) -> bool) -> Vec<IVec3> {
-        let mut near = Near::default();
-        c.name_blocks(3, &mut near);
         let mut all = Vec::new();
-        for block in near.named() {
+        c.for_each_block(|block| {
             dispatch!(Level::new(), simd => c.for_each_row(simd, block, |row, v| {
                 let (y, z) = (row as i32 % 8, row as i32 / 8);
                 for x in 0..8 {
@@ -201,7 +202,7 @@ pub(super) mod tests {
                     }
                 }
             }));
-        }
+        });
         all.sort_by_key(|v| v.to_array());
         all
     }
@@ -261,14 +262,12 @@ pub(super) mod tests {
 
         #[test]
         fn rows_are_not_visited_for_nothing(c in any_cylinder(Just(VOXEL_RADIUS))) {
-            let mut near = Near::default();
-            c.name_blocks(3, &mut near);
             let mut rows = BTreeMap::new();
-            for block in near.named() {
+            c.for_each_block(|block| {
                 dispatch!(Level::new(), simd => c.for_each_row(simd, block, |row, _| {
                     *rows.entry((block, row)).or_insert(0) += 1;
                 }));
-            }
+            });
             prop_assert!(rows.values().all(|&n| n == 1));
             prop_assert!(rows.len() as f32 <= 25.0 + 12.0 * c.half_length, "{} rows", rows.len());
         }

@@ -108,7 +108,7 @@ impl View {
     }
 
     /// Names the blocks on the line of sight of a pixel.
-    fn allocate(&self, pixel: usize, anchor: &Anchor, truncation: [f32; 2], near: &mut Near) -> Result<(), Skip> {
+    fn allocate(&self, pixel: usize, anchor: &Anchor, truncation: [f32; 2], near: &mut Near<()>) -> Result<(), Skip> {
         let depth = self.image.depths_m[pixel];
         let (row, column) = (pixel / self.camera.width as usize, pixel % self.camera.width as usize);
         let ray = self.world_from_camera * self.camera.ray(column as f32, row as f32);
@@ -123,7 +123,7 @@ impl View {
             axis: ray / length,
             half_length: truncation_vox * length,
         }
-        .for_each_block(|block| near.block(block, 0));
+        .for_each_block(|block| near.block(block, 0, ()));
         Ok(())
     }
 

@@ -1,15 +1,16 @@
 //! The engine under all methods: items (returns, pixels, surfels) name blocks, blocks gather updates.
 //!
 //! ```text
-//!   items ─┬─ lane 0 ─▶ per shard: its blocks, and names (number of a block, item)      pass 1: threads own lanes
-//!          └─ lane …
-//!   shard 0 ◀─ the names of every lane, by block ─▶ 512 sums ─▶ the block in the map    pass 2: threads own shards
+//!   returns ─┬─ lane 0 ─▶ per shard: items, blocks, and names (which block, which item)   pass 1: threads own lanes
+//!            └─ lane …
+//!   shard 0 ◀─ the items of every lane, by block ─▶ 512 sums ─▶ the block in the map      pass 2: threads own shards
 //!   shard …
 //! ```
 //!
 //! What costs time in fusing is the way to memory: a scan updates a million voxels all over a large map. So what a voxel gets
 //! is worked out block by block, in sums that stay in the CPU's nearest cache, and the map is written once per block, only the
-//! rows (cache lines) that changed. A row is also what a vector of the CPU holds: methods work out eight voxels at once.
+//! rows (cache lines) that changed. A row is also what a vector of the CPU holds: methods work out eight voxels at once. What
+//! pass 2 needs to know of an item goes with it, in streams: looking it up elsewhere would be a miss of the cache each time.
 //!
 //! No locks, no atomics, no `unsafe`. The same bits on any number of threads: sums are integers, the items of a block come in
 //! order, and blocks are made by the thread that owns their shard.
@@ -67,22 +68,27 @@ impl Counts {
     }
 }
 
-/// Buffers of the engine, kept from scan to scan.
+/// Buffers of the engine, kept from scan to scan. `T` is what the update of a block wants to know of an item.
 #[derive(Debug)]
-pub(crate) struct Gather {
+pub(crate) struct Gather<T = ()> {
     /// The vector instructions of this CPU.
     level: Level,
-    lanes: Vec<Near>,
-    shards: Vec<Named>,
+    lanes: Vec<Near<T>>,
+    shards: Vec<Named<T>>,
 }
 
-impl Default for Gather {
+impl<T: Item> Default for Gather<T> {
     fn default() -> Self {
         Self::with(Level::new())
     }
 }
 
-impl Gather {
+/// What can be said of an item.
+pub(crate) trait Item: Copy + Send + Sync {}
+
+impl<T: Copy + Send + Sync> Item for T {}
+
+impl<T: Item> Gather<T> {
     fn with(level: Level) -> Self {
         Self {
             level,
@@ -99,15 +105,15 @@ impl Gather {
     /// Lets each of `items` items name the blocks it may touch, then updates those blocks, and the blocks of the map that
     /// are `visible` although no item named them.
     ///
-    /// `update` is called once per block, with the tags under which it was named, ascending, on any thread (and again for
-    /// each further 256 tags). It updates a voxel at most 64 times for each tag. Blocks are made only if they get an update.
+    /// `update` is called once per block, with the items that named it, in order, on any thread (and again for each further
+    /// 256 items). It updates a voxel at most 64 times for each item. Blocks are made only if they get an update.
     pub(crate) fn run(
         &mut self,
         map: &mut VoxelMap,
         items: usize,
-        near: impl Fn(usize, &mut Near) -> Result<(), Skip> + Sync,
+        near: impl Fn(usize, &mut Near<T>) -> Result<(), Skip> + Sync,
         visible: impl Fn(BlockIndex) -> bool + Sync,
-        update: impl Fn(BlockIndex, &[u32], &mut Updates) + Sync,
+        update: impl Fn(BlockIndex, &Items<'_, T>, &mut Updates) + Sync,
     ) -> Integration {
         let (stamp, limit) = map.begin_integration();
         self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
@@ -138,20 +144,24 @@ impl Gather {
 
 /// Which blocks the items of one piece of a scan may touch: what pass 1 writes to.
 #[derive(Debug)]
-pub(crate) struct Near {
+pub(crate) struct Near<T> {
     addresses: HashMap<BlockIndex, Address, FxBuildHasher>,
     /// The addresses of the blocks named last, by the low bits of their indices.
     recent: [(BlockIndex, Address); 64],
-    buckets: Vec<Bucket>,
+    buckets: Vec<Bucket<T>>,
     counts: Counts,
 }
 
 /// What a lane says of one shard.
-#[derive(Debug, Default)]
-struct Bucket {
-    /// Each block once, with the tag that named it last.
+#[derive(Debug)]
+struct Bucket<T> {
+    /// Each block once, with the number of the item that named it last.
     blocks: Vec<(BlockIndex, u32)>,
-    /// Number of the block in `blocks`, and tag.
+    /// Those that named any block.
+    items: Vec<T>,
+    /// Of the last item.
+    tag: Option<u32>,
+    /// Number of the block in `blocks`, and of the item in `items`.
     names: Vec<(u32, u32)>,
 }
 
@@ -167,31 +177,45 @@ const NOWHERE: BlockIndex = BlockIndex(glam::IVec3::MIN);
 
 const NO_ADDRESS: (BlockIndex, Address) = (NOWHERE, Address { shard: 0, number: 0 });
 
-impl Default for Near {
+impl<T> Default for Near<T> {
     fn default() -> Self {
         Self {
             addresses: HashMap::default(),
             recent: [NO_ADDRESS; 64],
-            buckets: (0..SHARDS).map(|_| Bucket::default()).collect(),
+            buckets: (0..SHARDS).map(|_| Bucket::new()).collect(),
             counts: Counts::default(),
         }
     }
 }
 
-impl Near {
+impl<T> Bucket<T> {
+    fn new() -> Self {
+        Self {
+            blocks: Vec::new(),
+            items: Vec::new(),
+            tag: None,
+            names: Vec::new(),
+        }
+    }
+}
+
+impl<T: Item> Near<T> {
     fn clear(&mut self) {
         self.addresses.clear();
         self.recent = [NO_ADDRESS; 64];
         for bucket in &mut self.buckets {
             bucket.blocks.clear();
+            bucket.items.clear();
+            bucket.tag = None;
             bucket.names.clear();
         }
         self.counts = Counts::default();
     }
 
-    /// Names a block, with what its update wants to know: the number of the item, or always 0. Twice the same counts once.
+    /// Names a block, and what its update wants to know of the item, which has the number `tag`, or always 0 where items do
+    /// not matter. Twice the same counts once.
     #[inline]
-    pub(crate) fn block(&mut self, block: BlockIndex, tag: u32) {
+    pub(crate) fn block(&mut self, block: BlockIndex, tag: u32, item: T) {
         let low = block.0 & 3;
         let recent = (low.x | low.y << 2 | low.z << 4) as usize;
         if self.recent[recent].0 != block {
@@ -199,24 +223,23 @@ impl Near {
         }
         let Address { shard, number } = self.recent[recent].1;
         let bucket = &mut self.buckets[shard as usize];
-        let last = &mut bucket.blocks[number as usize].1;
-        if *last != tag {
-            *last = tag;
-            bucket.names.push((number, tag));
+        if bucket.tag != Some(tag) {
+            bucket.tag = Some(tag);
+            bucket.items.push(item);
         }
-    }
-
-    /// The blocks that were named.
-    #[cfg(test)]
-    pub(crate) fn named(&self) -> impl Iterator<Item = BlockIndex> {
-        self.buckets.iter().flat_map(|bucket| bucket.blocks.iter().map(|b| b.0))
+        let item = (bucket.items.len() - 1) as u32;
+        let last = &mut bucket.blocks[number as usize].1;
+        if *last != item {
+            *last = item;
+            bucket.names.push((number, item));
+        }
     }
 
     fn address(&mut self, block: BlockIndex) -> Address {
         *self.addresses.entry(block).or_insert_with(|| {
             let shard = shard_of(block);
             let blocks = &mut self.buckets[shard].blocks;
-            blocks.push((block, u32::MAX)); // no tag: there are fewer items
+            blocks.push((block, u32::MAX)); // no item: there are fewer
             Address {
                 shard: shard as u32,
                 number: (blocks.len() - 1) as u32,
@@ -226,23 +249,43 @@ impl Near {
 }
 
 /// The names of all lanes for one shard, by block.
-#[derive(Debug, Default)]
-struct Named {
+#[derive(Debug)]
+struct Named<T> {
     blocks: Vec<BlockIndex>,
     numbers: HashMap<BlockIndex, u32, FxBuildHasher>,
     /// For each lane's blocks, one lane after the other: the number in `blocks`.
     numbers_of_lanes: Vec<u32>,
-    /// Where the tags of each block end.
+    /// Of all lanes.
+    items: Vec<T>,
+    /// Where the names of each block end.
     ends: Vec<u32>,
-    tags: Vec<u32>,
+    /// Numbers of items.
+    names: Vec<u32>,
 }
 
-impl Named {
-    /// A counting sort: the lanes hold ascending parts of the items, so that the tags of a block ascend.
-    fn collect<'a>(&mut self, buckets: impl Iterator<Item = &'a Bucket> + Clone) {
+impl<T> Default for Named<T> {
+    fn default() -> Self {
+        Self {
+            blocks: Vec::new(),
+            numbers: HashMap::default(),
+            numbers_of_lanes: Vec::new(),
+            items: Vec::new(),
+            ends: Vec::new(),
+            names: Vec::new(),
+        }
+    }
+}
+
+impl<T: Item> Named<T> {
+    /// A counting sort: the lanes hold parts of the items one after the other, so that the items of a block come in order.
+    fn collect<'a>(&mut self, buckets: impl Iterator<Item = &'a Bucket<T>> + Clone)
+    where
+        T: 'a,
+    {
         self.blocks.clear();
         self.numbers.clear();
         self.numbers_of_lanes.clear();
+        self.items.clear();
         self.ends.clear();
         for bucket in buckets.clone() {
             let first = self.numbers_of_lanes.len();
@@ -263,27 +306,45 @@ impl Named {
         for end in &mut self.ends {
             (*end, sum) = (sum, sum + *end); // where they start, for now
         }
-        self.tags.clear();
-        self.tags.resize(sum as usize, 0);
+        self.names.clear();
+        self.names.resize(sum as usize, 0);
         let mut first = 0;
         for bucket in buckets {
             let numbers = &self.numbers_of_lanes[first..];
-            for &(number, tag) in &bucket.names {
+            let first_item = self.items.len() as u32;
+            self.items.extend_from_slice(&bucket.items);
+            for &(number, item) in &bucket.names {
                 let end = &mut self.ends[numbers[number as usize] as usize];
-                self.tags[*end as usize] = tag;
+                self.names[*end as usize] = first_item + item;
                 *end += 1;
             }
             first += bucket.blocks.len();
         }
     }
 
-    /// Each block with its tags, ascending; twice the same only where one lane ends and the next begins.
+    /// Each block with the items that named it, in order.
     fn by_block(&self) -> impl Iterator<Item = (BlockIndex, &[u32])> {
         let mut start = 0;
         self.blocks.iter().zip(&self.ends).map(move |(&block, &end)| {
             let range = std::mem::replace(&mut start, end as usize)..end as usize;
-            (block, &self.tags[range])
+            (block, &self.names[range])
         })
+    }
+}
+
+/// The items that named a block.
+#[derive(Debug)]
+pub(crate) struct Items<'a, T> {
+    items: &'a [T],
+    names: &'a [u32],
+}
+
+impl<'a, T> Items<'a, T> {
+    /// In order.
+    #[inline(always)]
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &'a T> + Clone + use<'a, T> {
+        let (items, names) = (self.items, self.names);
+        names.iter().map(|&i| &items[i as usize])
     }
 }
 
@@ -296,9 +357,9 @@ pub(crate) struct Updates {
     rows: u64,
 }
 
-/// A block's updates are added up for so many tags at a time: the sums, of at most 2⁶ updates a tag and 2¹⁵ an update, are
+/// A block's updates are added up for so many items at a time: the sums, of at most 2⁶ updates an item and 2¹⁵ an update, are
 /// at most 2²⁹.
-const TAGS: usize = 1 << 8;
+const AT_ONCE: usize = 1 << 8;
 
 impl Updates {
     const NONE: Self = Self {
@@ -382,17 +443,18 @@ struct Writer {
 }
 
 impl Writer {
-    fn update_shard(
+    fn update_shard<T: Item>(
         self,
         shard: &mut Shard,
-        named: &Named,
+        named: &Named<T>,
         visible: impl Fn(BlockIndex) -> bool,
-        update: impl Fn(BlockIndex, &[u32], &mut Updates),
+        update: impl Fn(BlockIndex, &Items<'_, T>, &mut Updates),
     ) -> Vec<BlockIndex> {
         let mut touched = Vec::new();
         let mut updates = Updates::NONE;
-        let mut visit = |shard: &mut Shard, block: BlockIndex, tags: &[u32]| {
-            update(block, tags, &mut updates);
+        let mut visit = |shard: &mut Shard, block: BlockIndex, names: &[u32]| {
+            let items = &named.items;
+            update(block, &Items { items, names }, &mut updates);
             if updates.is_empty() {
                 updates.rows = 0;
                 return;
@@ -408,8 +470,8 @@ impl Writer {
         };
         let seen = shard.indices().iter().copied().filter(|&b| visible(b) && !named.numbers.contains_key(&b));
         let seen: Vec<BlockIndex> = seen.collect();
-        for (block, tags) in named.by_block() {
-            tags.chunks(TAGS).for_each(|tags| visit(shard, block, tags));
+        for (block, names) in named.by_block() {
+            names.chunks(AT_ONCE).for_each(|names| visit(shard, block, names));
         }
         seen.into_iter().for_each(|block| visit(shard, block, &[]));
         touched
@@ -436,13 +498,13 @@ mod tests {
             &mut map,
             1000,
             |i, near| {
-                near.block(full, i as u32);
-                near.block(empty, i as u32);
+                near.block(full, i as u32, i);
+                near.block(empty, i as u32, i);
                 Ok(())
             },
             |_| false,
-            |block, tags, updates| {
-                for &tag in tags {
+            |block, items, updates| {
+                for &tag in items.iter() {
                     let weight = if block == full { tag as f32 / 1000.0 } else { 0.0 };
                     let distances = [0, 1, 2, 3, 4, 5, 6, 7].map(|x| x as f32 / 4.0 - 1.0);
                     match by_row {

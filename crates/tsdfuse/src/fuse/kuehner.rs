@@ -207,7 +207,7 @@ impl Image {
         anchor: &Anchor,
         world_from_sensor: Mat3,
         config: &MapConfig,
-        near: &mut Near,
+        near: &mut Near<()>,
     ) -> Result<(), Skip> {
         let rows = self.projection.rows();
         let center = world_from_sensor * (Vec3::Z * self.projection.center_z_m());
@@ -243,7 +243,7 @@ impl Image {
             for z in low.0.z..=high.0.z {
                 for y in low.0.y..=high.0.y {
                     for x in low.0.x..=high.0.x {
-                        near.block(BlockIndex(glam::IVec3::new(x, y, z)), 0);
+                        near.block(BlockIndex(glam::IVec3::new(x, y, z)), 0, ());
                     }
                 }
             }

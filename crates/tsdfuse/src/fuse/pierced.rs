@@ -223,16 +223,14 @@ mod tests {
     fn pierced(line: &Cylinder) -> Vec<IVec3> {
         let piercing = Piercing::by(line);
         let simd = fearless_simd::Level::baseline();
-        let mut near = crate::fuse::gather::Near::default();
-        line.name_blocks(0, &mut near);
         let mut all = Vec::new();
-        for block in near.named() {
+        line.for_each_block(|block| {
             fearless_simd::dispatch!(simd, simd => line.for_each_row(simd, block, |row, v| {
                 let mask = (piercing.pierced(v) & v.within(line.radius, line.half_length)).to_bitmask();
                 let first = block.first_voxel() + IVec3::new(0, row as i32 % 8, row as i32 / 8);
                 all.extend((0..8).filter(|x| mask >> x & 1 == 1).map(|x| first + IVec3::X * x));
             }));
-        }
+        });
         all
     }
 

@@ -35,7 +35,7 @@ use serde::{Deserialize, Serialize};
 use self::{adaptive::Adaptive, cells::Cells, near::MAX_LEVEL};
 use super::{
     FuseError, Integration, Integrator,
-    gather::{Gather, Near},
+    gather::{Gather, Items, Near},
     placed::Placed,
 };
 use crate::{index::BlockIndex, map::VoxelMap, scan::Scan};
@@ -117,7 +117,7 @@ pub struct Roldao {
     config: RoldaoConfig,
     placed: Placed,
     cells: Cells,
-    gather: Gather,
+    gather: Gather<u32>,
 }
 
 impl Roldao {
@@ -134,7 +134,7 @@ impl Roldao {
         let adaptive = Adaptive::new(&self.config, map.config());
         let blocks = self.cells.blocks();
         let reach = self.config.max_level as i32;
-        let name = |i: usize, near: &mut Near| {
+        let name = |i: usize, near: &mut Near<u32>| {
             let (BlockIndex(block), cells) = blocks[i];
             // Cell j lies in the neighbourhoods of vertices j − reach … j + reach − 1.
             let (low, high) = cells.bounds();
@@ -143,14 +143,14 @@ impl Roldao {
             for z in first.z..=last.z {
                 for y in first.y..=last.y {
                     for x in first.x..=last.x {
-                        near.block(BlockIndex(IVec3::new(x, y, z)), i as u32);
+                        near.block(BlockIndex(IVec3::new(x, y, z)), i as u32, i as u32);
                     }
                 }
             }
             Ok(())
         };
-        let blocks_about = |block, tags: &[u32], updates: &mut _| {
-            let cells = tags.iter().map(|&i| blocks[i as usize]);
+        let blocks_about = |block, named: &Items<'_, u32>, updates: &mut _| {
+            let cells = named.iter().map(|&i| blocks[i as usize]);
             adaptive.update(block, cells, updates);
         };
         self.gather.run(map, blocks.len(), name, |_| false, blocks_about)
