@@ -156,17 +156,6 @@ impl Voxel {
         (self.weight_sum > 0).then(|| self.distance_sum as f32 / self.weight_sum as f32)
     }
 
-    /// Adds one update, both in fixed point, |distance| ≤ weight ≤ [`WEIGHT_SCALE`]. Neither sum can overflow: a voxel that
-    /// holds [`MAX_WEIGHT`] is brought back to it at once.
-    #[inline]
-    pub(crate) fn add(&mut self, weight: u32, distance: i32) {
-        self.weight_sum += weight;
-        self.distance_sum += distance;
-        if self.weight_sum > MAX_WEIGHT_SUM {
-            self.limit(MAX_WEIGHT_SUM);
-        }
-    }
-
     /// Adds the sums of many updates at once, |distance| ≤ weight ≤ 2²⁹. Neither sum can overflow if the voxel is brought back
     /// below its limit at once ([`Shard::limit_weights`]).
     #[inline]
@@ -466,15 +455,19 @@ mod tests {
     #[test]
     fn observations_beyond_the_limit_keep_a_running_mean() {
         let mut v = Voxel::default();
+        let add = |v: &mut Voxel, weight: u32, distance: i32| {
+            v.add_sums(weight as i32, distance);
+            v.limit(MAX_WEIGHT_SUM);
+        };
         let (near, far) = (WEIGHT_SCALE as i32 / 4, WEIGHT_SCALE as i32 / 2);
         for i in 0..300_000 {
-            v.add(WEIGHT_SCALE, if i % 2 == 0 { near } else { far });
+            add(&mut v, WEIGHT_SCALE, if i % 2 == 0 { near } else { far });
         }
         assert_eq!(v.weight(), MAX_WEIGHT);
         assert!((v.distance().unwrap() - 0.375).abs() < 1e-3, "{v:?}");
         // A small weight still moves a full voxel.
         let before = v.distance_sum;
-        (0..1000).for_each(|_| v.add(WEIGHT_SCALE / 100, -(WEIGHT_SCALE as i32) / 100));
+        (0..1000).for_each(|_| add(&mut v, WEIGHT_SCALE / 100, -(WEIGHT_SCALE as i32) / 100));
         assert!(v.distance_sum < before);
     }
 

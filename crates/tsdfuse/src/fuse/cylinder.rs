@@ -36,7 +36,7 @@ pub(crate) struct Cylinder {
 /// Eight voxels in a row, in voxels from the centre of a cylinder.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Row<S: Simd> {
-    /// Of the voxels, from that of the centre.
+    /// v − c.
     pub(crate) x: f32x8<S>,
     pub(crate) y: f32,
     pub(crate) z: f32,
@@ -75,21 +75,60 @@ impl Cylinder {
         (voxel - self.center.voxel).as_vec3() + 0.5 - self.center.fraction
     }
 
-    /// Visits the blocks that the cylinder may reach into: column by column along the dominant axis.
-    #[inline]
-    pub(crate) fn for_each_block(&self, mut visit: impl FnMut(BlockIndex)) {
+    /// Visits the blocks that the cylinder may reach into.
+    #[inline(always)]
+    pub(crate) fn for_each_block<S: Simd>(&self, simd: S, mut visit: impl FnMut(BlockIndex)) {
+        let lowest = self.center.fraction - self.half_box;
+        let highest = self.center.fraction + self.half_box;
+        let of = |v: Vec3| BlockIndex::of(self.center.voxel + IVec3::new(round(v.x), round(v.y), round(v.z)));
+        let (first, last) = (of(lowest).0, of(highest - 1.0).0);
+        if (last - first).max_element() <= 1 {
+            self.for_each_corner(simd, first, visit);
+        } else {
+            self.for_each_column(&mut visit);
+        }
+    }
+
+    /// As [`Self::for_each_block`], if all blocks are among the 2 × 2 × 2 from `first` on: all of them at once.
+    #[inline(always)]
+    fn for_each_corner<S: Simd>(&self, simd: S, first: IVec3, mut visit: impl FnMut(BlockIndex)) {
+        let (axis, a, edge) = (self.axis, self.axis.abs(), BLOCK_EDGE as f32);
+        let middle = self.offset(BlockIndex(first).first_voxel()) + HALF_BLOCK;
+        let x = f32x8::simd_from(simd, [0.0, edge, 0.0, edge, 0.0, edge, 0.0, edge]) + middle.x;
+        let y = f32x8::simd_from(simd, [0.0, 0.0, edge, edge, 0.0, 0.0, edge, edge]) + middle.y;
+        let z = f32x8::simd_from(simd, [0.0, 0.0, 0.0, 0.0, edge, edge, edge, edge]) + middle.z;
+        let near_box = self.half_box + HALF_BLOCK;
+        let in_box = x.abs().simd_le(near_box.x) & y.abs().simd_le(near_box.y) & z.abs().simd_le(near_box.z);
+        // Seen along an edge of the blocks.
+        let wide = self.half_box - a * self.half_length + HALF_BLOCK * (a.element_sum() - a);
+        let near_line = (y * axis.z - z * axis.y).abs().simd_le(wide.x)
+            & (z * axis.x - x * axis.z).abs().simd_le(wide.y)
+            & (x * axis.y - y * axis.x).abs().simd_le(wide.z);
+        let thick = self.half_length + HALF_BLOCK * a.element_sum() + SLACK;
+        let near_plane = (x * axis.x + (y * axis.y + z * axis.z)).abs().simd_le(thick);
+        let mut blocks = (in_box & near_line & near_plane).to_bitmask();
+        while blocks != 0 {
+            let b = blocks.trailing_zeros() as i32;
+            blocks &= blocks - 1;
+            visit(BlockIndex(first + IVec3::new(b & 1, b >> 1 & 1, b >> 2)));
+        }
+    }
+
+    /// As [`Self::for_each_block`]: column by column along the dominant axis.
+    #[inline(never)]
+    fn for_each_column(&self, visit: &mut impl FnMut(BlockIndex)) {
         let a = self.axis.abs();
         if a.x >= a.y && a.x >= a.z {
-            self.for_each_column::<0, 1, 2>(&mut visit);
+            self.walk_columns::<0, 1, 2>(visit);
         } else if a.y >= a.z {
-            self.for_each_column::<1, 2, 0>(&mut visit);
+            self.walk_columns::<1, 2, 0>(visit);
         } else {
-            self.for_each_column::<2, 0, 1>(&mut visit);
+            self.walk_columns::<2, 0, 1>(visit);
         }
     }
 
     #[inline(always)]
-    fn for_each_column<const M: usize, const U: usize, const W: usize>(&self, visit: &mut impl FnMut(BlockIndex)) {
+    fn walk_columns<const M: usize, const U: usize, const W: usize>(&self, visit: &mut impl FnMut(BlockIndex)) {
         let edge = BLOCK_EDGE as f32;
         let home = BlockIndex::of(self.center.voxel);
         let middle = self.offset(home.first_voxel()) + HALF_BLOCK; // of the centre's block
@@ -98,7 +137,8 @@ impl Cylinder {
         let (low, high) = ((-half_box - middle) / edge, (half_box - middle) / edge);
         // How far the middle of a block may be from the plane, and from the line seen along an edge of the block.
         let thick = self.half_length + HALF_BLOCK * a.element_sum() + SLACK;
-        let wide = |j: usize, k: usize| HALF_BLOCK * (a[j] + a[k]) + self.radius * (a[j] * a[j] + a[k] * a[k]).sqrt() + SLACK;
+        let wide =
+            |j: usize, k: usize| HALF_BLOCK * (a[j] + a[k]) + self.radius * (a[j] * a[j] + a[k] * a[k]).sqrt() + SLACK;
         let (wide_m, wide_u, wide_w) = (wide(U, W), wide(W, M), wide(M, U));
         let inverse = 1.0 / axis[M];
         for w in round(low[W] + 0.5)..=round(high[W] - 0.5) {
@@ -131,9 +171,8 @@ impl Cylinder {
     pub(crate) fn for_each_row<S: Simd>(&self, simd: S, block: BlockIndex, mut visit: impl FnMut(usize, &Row<S>)) {
         let cell = (block.first_voxel() - self.center.voxel).as_vec3();
         let steps = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
-        let (x_cells, y_cells) = (steps + cell.x, steps + cell.y);
-        let offset = |cells: f32x8<S>, fraction: f32| cells + 0.5 - fraction;
-        let (x, y) = (offset(x_cells, self.center.fraction.x), offset(y_cells, self.center.fraction.y));
+        let x = (steps + cell.x) + 0.5 - self.center.fraction.x;
+        let y = (steps + cell.y) + 0.5 - self.center.fraction.y;
         let (x2, y2) = (x * x, y * y);
         let (along_x, along_y) = (x * self.axis.x, y * self.axis.y);
 
@@ -164,9 +203,9 @@ impl Cylinder {
             rows &= rows - 1;
             let (j, k) = (row % ROW, row / ROW);
             let voxels = Row {
-                x: x_cells,
-                y: cell.y + j as f32,
-                z: cell.z + k as f32,
+                x,
+                y: (cell.y + j as f32) + 0.5 - self.center.fraction.y,
+                z: (cell.z + k as f32) + 0.5 - self.center.fraction.z,
                 along: along_x + along_yz[k][j],
                 distance2: x2 + distance2_yz[k][j],
             };
@@ -178,9 +217,14 @@ impl Cylinder {
 /// The rows of a block between two coordinates z relative to its first one; either may lie far outside.
 #[inline(always)]
 fn layers(low: f32, high: f32) -> u64 {
-    let [low, high] = [low, high].map(|z| round((z + 0.5).max(0.0).min(ROW as f32)) as u32);
-    let below = |k: u32| u64::MAX.checked_shr(64 - ROW as u32 * k).unwrap_or(0);
     below(high) & !below(low)
+}
+
+/// The rows of a block below a coordinate z.
+#[inline(always)]
+fn below(z: f32) -> u64 {
+    let k = round((z + 0.5).max(0.0).min(ROW as f32)) as u32;
+    u64::MAX.checked_shr(64 - ROW as u32 * k).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -190,10 +234,16 @@ pub(super) mod tests {
     use proptest::prelude::*;
     use std::collections::BTreeMap;
 
+    impl Cylinder {
+        pub(crate) fn for_each_block_here(&self, visit: impl FnMut(BlockIndex)) {
+            dispatch!(Level::new(), simd => self.for_each_block(simd, visit));
+        }
+    }
+
     /// Every block that any voxel of a cube lies in, in which every row is visited that the fast walk visits.
     pub(crate) fn visited(c: &Cylinder, inside: impl Fn(f32, f32) -> bool) -> Vec<IVec3> {
         let mut all = Vec::new();
-        c.for_each_block(|block| {
+        c.for_each_block_here(|block| {
             dispatch!(Level::new(), simd => c.for_each_row(simd, block, |row, v| {
                 let (y, z) = (row as i32 % 8, row as i32 / 8);
                 for x in 0..8 {
@@ -263,7 +313,7 @@ pub(super) mod tests {
         #[test]
         fn rows_are_not_visited_for_nothing(c in any_cylinder(Just(VOXEL_RADIUS))) {
             let mut rows = BTreeMap::new();
-            c.for_each_block(|block| {
+            c.for_each_block_here(|block| {
                 dispatch!(Level::new(), simd => c.for_each_row(simd, block, |row, _| {
                     *rows.entry((block, row)).or_insert(0) += 1;
                 }));

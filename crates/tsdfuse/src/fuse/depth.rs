@@ -155,10 +155,11 @@ pub(super) fn integrate(map: &mut VoxelMap, anchor: Anchor, views: &[View], gath
     gather.run(
         map,
         pixels.len(),
-        |i, near| {
-            pixels[i]
-                .0
-                .allocate(pixels[i].1, &anchor, [truncation_m, config.truncation_vox()], near)
+        |range, near| {
+            for (view, pixel) in &pixels[range] {
+                let done = view.allocate(*pixel, &anchor, [truncation_m, config.truncation_vox()], near);
+                near.count(done);
+            }
         },
         |block| looking_at(block).next().is_some(),
         |block, _, updates| {

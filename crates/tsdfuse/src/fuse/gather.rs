@@ -89,7 +89,8 @@ pub(crate) trait Item: Copy + Send + Sync {}
 impl<T: Copy + Send + Sync> Item for T {}
 
 impl<T: Item> Gather<T> {
-    fn with(level: Level) -> Self {
+    /// With given instructions.
+    pub(crate) fn with(level: Level) -> Self {
         Self {
             level,
             lanes: (0..LANES).map(|_| Near::default()).collect(),
@@ -105,23 +106,21 @@ impl<T: Item> Gather<T> {
     /// Lets each of `items` items name the blocks it may touch, then updates those blocks, and the blocks of the map that
     /// are `visible` although no item named them.
     ///
+    /// `name` is called for parts of the items, on any thread, and tells what becomes of each ([`Near::count`]).
     /// `update` is called once per block, with the items that named it, in order, on any thread (and again for each further
     /// 256 items). It updates a voxel at most 64 times for each item. Blocks are made only if they get an update.
     pub(crate) fn run(
         &mut self,
         map: &mut VoxelMap,
         items: usize,
-        near: impl Fn(usize, &mut Near<T>) -> Result<(), Skip> + Sync,
+        name: impl Fn(Range<usize>, &mut Near<T>) + Sync,
         visible: impl Fn(BlockIndex) -> bool + Sync,
         update: impl Fn(BlockIndex, &Items<'_, T>, &mut Updates) + Sync,
     ) -> Integration {
         let (stamp, limit) = map.begin_integration();
         self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
             lane.clear();
-            for i in items * k / LANES..items * (k + 1) / LANES {
-                let done = near(i, lane);
-                lane.counts.count(done);
-            }
+            name(items * k / LANES..items * (k + 1) / LANES, lane);
         });
         let lanes = &self.lanes;
         let level = self.level;
@@ -210,6 +209,12 @@ impl<T: Item> Near<T> {
             bucket.names.clear();
         }
         self.counts = Counts::default();
+    }
+
+    /// Notes what became of an item.
+    #[inline(always)]
+    pub(crate) fn count(&mut self, done: Result<(), Skip>) {
+        self.counts.count(done);
     }
 
     /// Names a block, and what its update wants to know of the item, which has the number `tag`, or always 0 where items do
@@ -382,23 +387,17 @@ impl Updates {
     /// Adds an update to those of the eight voxels of a row, `row` = y + 8 z, that are `inside`; distances and weights as for
     /// [`Updates::add`], with the same rounding.
     #[inline(always)]
-    pub(crate) fn add_row<S: Simd>(
-        &mut self,
-        row: usize,
-        inside: mask32x8<S>,
-        distance: f32x8<S>,
-        weight: f32x8<S>,
-    ) {
+    pub(crate) fn add_row<S: Simd>(&mut self, row: usize, inside: mask32x8<S>, distance: f32x8<S>, weight: f32x8<S>) {
         // As `fixed` does.
         let scaled = weight.max(0.0).min(1.0) * WEIGHT_SCALE as f32 + ROUND;
         let product = distance.max(-1.0).min(1.0) * (scaled - ROUND) + ROUND;
-        let integer = |x: f32x8<S>| x.bitcast::<i32x8<S>>() - ROUND.to_bits() as i32;
         let row = row % ROWS;
         self.rows |= u64::from(inside.any_true()) << row;
         for (sums, new) in [(&mut self.weights[row], scaled), (&mut self.distances[row], product)] {
-            let none = i32x8::splat(new.token(), 0);
-            let sum = i32x8::simd_from(new.token(), *sums) + inside.select(integer(new), none);
-            *sums = sum.into();
+            let simd = new.token();
+            let new = new.bitcast::<i32x8<S>>() - ROUND.to_bits() as i32;
+            let new = inside.select(new, i32x8::splat(simd, 0));
+            *sums = (i32x8::simd_from(simd, *sums) + new).into();
         }
     }
 
@@ -468,7 +467,11 @@ impl Writer {
                 shard.limit_weights(slot, self.limit);
             }
         };
-        let seen = shard.indices().iter().copied().filter(|&b| visible(b) && !named.numbers.contains_key(&b));
+        let seen = shard
+            .indices()
+            .iter()
+            .copied()
+            .filter(|&b| visible(b) && !named.numbers.contains_key(&b));
         let seen: Vec<BlockIndex> = seen.collect();
         for (block, names) in named.by_block() {
             names.chunks(AT_ONCE).for_each(|names| visit(shard, block, names));
@@ -497,10 +500,12 @@ mod tests {
         let done = gather.run(
             &mut map,
             1000,
-            |i, near| {
-                near.block(full, i as u32, i);
-                near.block(empty, i as u32, i);
-                Ok(())
+            |items, near| {
+                for i in items {
+                    near.block(full, i as u32, i);
+                    near.block(empty, i as u32, i);
+                    near.count(Ok(()));
+                }
             },
             |_| false,
             |block, items, updates| {

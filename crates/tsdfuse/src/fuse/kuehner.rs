@@ -73,7 +73,12 @@ impl Integrator for Kuehner {
         let mut done = self.gather.run(
             map,
             image.projection.columns(),
-            |column, near| image.allocate(column, &anchor, world_from_sensor, &config, near),
+            |columns, near| {
+                for column in columns {
+                    let done = image.allocate(column, &anchor, world_from_sensor, &config, near);
+                    near.count(done);
+                }
+            },
             |_| false,
             |block, _, updates| image.update(block, &centers, config.truncation_m as f32, updates),
         );

@@ -84,7 +84,7 @@ impl Integrator for Normals {
             let about = Cylinder::new(ray.end, normal, VOXEL_RADIUS, truncation);
             Ok(Shaft { about, weight })
         };
-        let integration = self.shafts.run(map, placed.len(), shaft, &AlongNormal);
+        let integration = self.shafts.run(map, &placed.order, shaft, &AlongNormal);
         Ok(Integration {
             prepare_secs,
             ..integration
@@ -97,8 +97,11 @@ struct AlongNormal;
 impl Rule for AlongNormal {
     #[inline(always)]
     fn of<S: Simd>(&self, simd: S, shaft: &Shaft) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
-        let Cylinder { radius, half_length, .. } = shaft.about;
+        let Cylinder {
+            radius, half_length, ..
+        } = shaft.about;
         let (weight, inverse) = (f32x8::splat(simd, shaft.weight), 1.0 / half_length);
+        #[inline(always)]
         move |v| (v.within(radius, half_length), v.along * inverse, weight) // (5.14)(5.15)(5.16)
     }
 }

@@ -1,10 +1,6 @@
 //! The voxels, and the blocks, that a line passes through.
-//!
-//! A voxel is pierced if the line spends time in it: it enters where it has crossed the last of the three borders towards it,
-//! and leaves at the first of the three borders behind. The times of crossing are computed from the numbers of the borders,
-//! never summed up, so that neighbours agree on the border between them.
 
-use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
+use fearless_simd::{Simd, mask32x8, prelude::*};
 use glam::{IVec3, Vec3, Vec3A};
 
 use super::cylinder::{Cylinder, Row};
@@ -21,45 +17,20 @@ pub(crate) struct Segment {
 /// An axis along which the line moves slower than this counts as standing still.
 const STILL: f32 = 1e-6;
 
-/// Which voxels the line of a [`Cylinder`] passes through.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Piercing {
-    fraction: Vec3,
-    /// Of the axis; infinite where the line stands still.
-    inverse: Vec3,
-}
-
-impl Piercing {
-    pub(crate) fn by(line: &Cylinder) -> Self {
-        let Vec3 { x, y, z } = line.axis;
-        let still = [x, y, z].map(|a| a.abs() < STILL);
-        let fraction = line.center.fraction;
-        // A line that stands still on a border is taken to be just inside, so that 0·∞ never comes up.
-        let inner = fraction.clamp(Vec3::splat(STILL), Vec3::splat(1.0 - STILL));
-        let pick = |k: usize, moving: f32, still_one: f32| if still[k] { still_one } else { moving };
-        Self {
-            fraction: Vec3::from_array([0, 1, 2].map(|k| pick(k, fraction[k], inner[k]))),
-            inverse: Vec3::from_array([0, 1, 2].map(|k| pick(k, 1.0 / line.axis[k], f32::INFINITY))),
-        }
-    }
-
-    /// Those of eight voxels that the line passes through.
-    #[inline(always)]
-    pub(crate) fn pierced<S: Simd>(&self, row: &Row<S>) -> mask32x8<S> {
-        let simd = row.along.token();
-        let (y, z) = (f32x8::splat(simd, row.y), f32x8::splat(simd, row.z));
-        let [x, y, z] = [self.times(0, row.x), self.times(1, y), self.times(2, z)];
-        let enter = x.0.max(y.0).max(z.0);
-        x.1.min(y.1).min(z.1).simd_gt(enter)
-    }
-
-    /// When the line is between the borders of cells, numbered along one axis.
-    #[inline(always)]
-    fn times<S: Simd>(&self, axis: usize, cell: f32x8<S>) -> (f32x8<S>, f32x8<S>) {
-        let (fraction, inverse) = (self.fraction[axis], self.inverse[axis]);
-        let (low, high) = ((cell - fraction) * inverse, (cell + 1.0 - fraction) * inverse);
-        (low.min(high), low.max(high))
-    }
+/// Those of eight voxels that the line of a cylinder passes through. Seen along each edge of a voxel, the line must run within
+/// the square that the voxel shows (the axes that can separate a line from a box); on the border, it belongs to one side.
+#[inline(always)]
+pub(crate) fn pierced<S: Simd>(line: &Cylinder, row: &Row<S>) -> mask32x8<S> {
+    let Vec3 { x: ax, y: ay, z: az } = line.axis;
+    let half = |j: f32, k: f32| (0.5 * (j.abs() + k.abs())).max(STILL);
+    let (x, y, z) = (row.x, row.y, row.z);
+    let along_x = y * az - z * ay;
+    let along_x = mask32x8::splat(x.token(), along_x > -half(ay, az) && along_x <= half(ay, az));
+    let along_y = z * ax - x * az;
+    let along_y = along_y.simd_gt(-half(ax, az)) & along_y.simd_le(half(ax, az));
+    let along_z = x * ay - y * ax;
+    let along_z = along_z.simd_gt(-half(ax, ay)) & along_z.simd_le(half(ax, ay));
+    along_x & along_y & along_z
 }
 
 impl Segment {
@@ -134,7 +105,10 @@ fn crossing(inverse: f32, border: f32, center: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fuse::cylinder::{VOXEL_RADIUS, tests::{any_cylinder, literal}};
+    use crate::fuse::cylinder::{
+        VOXEL_RADIUS,
+        tests::{any_cylinder, literal},
+    };
     use proptest::prelude::*;
 
     /// Whether the line spends time in the voxel at `v`, axis by axis, in f64; `None` if it is too close to tell.
@@ -208,7 +182,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(1000))]
         #[test]
         fn pierced_voxels_are_those_that_the_line_spends_time_in(line in any_cylinder(Just(VOXEL_RADIUS))) {
-            let found = pierced(&line);
+            let found = pierced_by(&line);
             for voxel in literal(&line, |_, _| true) {
                 if let Some(wanted) = is_pierced(&line, (voxel - line.center.voxel).as_vec3()) {
                     let (v, along) = (voxel, ((voxel - line.center.voxel).as_vec3() + 0.5 - line.center.fraction).dot(line.axis));
@@ -220,13 +194,11 @@ mod tests {
     }
 
     /// The pierced voxels of a cylinder.
-    fn pierced(line: &Cylinder) -> Vec<IVec3> {
-        let piercing = Piercing::by(line);
-        let simd = fearless_simd::Level::baseline();
+    fn pierced_by(line: &Cylinder) -> Vec<IVec3> {
         let mut all = Vec::new();
-        line.for_each_block(|block| {
-            fearless_simd::dispatch!(simd, simd => line.for_each_row(simd, block, |row, v| {
-                let mask = (piercing.pierced(v) & v.within(line.radius, line.half_length)).to_bitmask();
+        line.for_each_block_here(|block| {
+            fearless_simd::dispatch!(fearless_simd::Level::new(), simd => line.for_each_row(simd, block, |row, v| {
+                let mask = (pierced(line, v) & v.within(line.radius, line.half_length)).to_bitmask();
                 let first = block.first_voxel() + IVec3::new(0, row as i32 % 8, row as i32 / 8);
                 all.extend((0..8).filter(|x| mask >> x & 1 == 1).map(|x| first + IVec3::X * x));
             }));
@@ -242,7 +214,7 @@ mod tests {
                     voxel: IVec3::new(-3, 6, 9),
                     fraction: Vec3::splat(fraction),
                 };
-                let found = pierced(&Cylinder::new(center, axis, VOXEL_RADIUS, 4.2));
+                let found = pierced_by(&Cylinder::new(center, axis, VOXEL_RADIUS, 4.2));
                 assert!((8..=9).contains(&found.len()), "{fraction} {axis}: {found:?}");
                 let beside = |v: &IVec3| ((*v - found[0]).as_vec3() * (Vec3::ONE - axis.abs())).length() > 0.0;
                 assert!(!found.iter().any(beside), "{fraction} {axis}: {found:?}");

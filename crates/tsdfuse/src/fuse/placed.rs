@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::FuseError;
 use crate::{
-    index::{Anchor, Grid, GridPoint},
+    index::{Anchor, BLOCK_EDGE, Grid, GridPoint},
     scan::Scan,
 };
 
@@ -17,6 +17,9 @@ pub(crate) struct Placed {
     pub(crate) points: Vec<Vec3>,
     /// Start of each ray; empty if all start at the anchor.
     pub(crate) origins: Vec<Vec3>,
+    /// The numbers of all returns, neighbours in the world mostly one after the other.
+    pub(crate) order: Vec<u32>,
+    cells: Vec<u16>,
 }
 
 /// One return as the methods see it.
@@ -29,6 +32,9 @@ pub(crate) struct Ray {
     /// Distance from the sensor.
     pub(crate) range_m: f32,
 }
+
+/// Cells that a scan is sorted into.
+const CELLS: usize = 1 << 12;
 
 impl Placed {
     /// Places all returns of a scan, reusing this buffer.
@@ -57,7 +63,32 @@ impl Placed {
                     .collect_into_vec(&mut self.points);
             }
         }
+        self.sort(1.0 / (2.0 * f64::from(BLOCK_EDGE) * grid.voxel_size_m()) as f32);
         Ok(())
+    }
+
+    /// Orders the returns by cells of 2³ blocks, which a counting sort takes in any order (and some as one).
+    fn sort(&mut self, cells_per_m: f32) {
+        let cell = |p: &Vec3| {
+            let c = (*p * cells_per_m).floor().as_ivec3();
+            let hash = c.x.wrapping_mul(73_856_093) ^ c.y.wrapping_mul(19_349_669) ^ c.z.wrapping_mul(83_492_791);
+            (hash & CELLS as i32 - 1) as u16
+        };
+        self.points
+            .par_iter()
+            .with_min_len(1024)
+            .map(cell)
+            .collect_into_vec(&mut self.cells);
+        let mut starts = [0; CELLS + 1];
+        self.cells.iter().for_each(|&cell| starts[usize::from(cell) + 1] += 1);
+        (0..CELLS).for_each(|c| starts[c + 1] += starts[c]);
+        self.order.clear();
+        self.order.resize(self.points.len(), 0);
+        for (i, &cell) in (0..).zip(&self.cells) {
+            let next = &mut starts[usize::from(cell)];
+            self.order[*next] = i;
+            *next += 1;
+        }
     }
 
     /// Where the scan is anchored, once returns are placed.

@@ -23,7 +23,7 @@ use super::{
     FuseError, Integration, Integrator,
     cylinder::{Cylinder, Row, VOXEL_RADIUS},
     gather::Skip,
-    pierced::Piercing,
+    pierced::pierced,
     placed::Placed,
     shafts::{Rule, Shaft, Shafts},
 };
@@ -81,8 +81,8 @@ impl Integrator for Raycast {
             Ok(Shaft { about, weight })
         };
         let integration = match self.config.distance {
-            Distance::Euclidean => self.shafts.run(map, placed.len(), shaft, &Euclidean { truncation }),
-            Distance::Projective => self.shafts.run(map, placed.len(), shaft, &Projective { truncation }),
+            Distance::Euclidean => self.shafts.run(map, &placed.order, shaft, &Euclidean { truncation }),
+            Distance::Projective => self.shafts.run(map, &placed.order, shaft, &Projective { truncation }),
         };
         Ok(Integration {
             prepare_secs,
@@ -101,6 +101,7 @@ impl Rule for Euclidean {
     fn of<S: Simd>(&self, simd: S, shaft: &Shaft) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let (truncation, inverse) = (self.truncation, 1.0 / self.truncation);
         let weight = f32x8::splat(simd, shaft.weight);
+        #[inline(always)]
         move |v| {
             let inside = v.within(VOXEL_RADIUS, truncation) & v.distance2.simd_le(truncation * truncation);
             let distance = (v.distance2.sqrt() * inverse).copysign(-v.along); // (5.7)
@@ -120,10 +121,10 @@ impl Rule for Projective {
         let (truncation, inverse) = (self.truncation, 1.0 / self.truncation);
         // Fully known down to 1.5 voxels behind the surface, enough for the noise of ranges to cancel, or half the band.
         let slope = 1.0 / (truncation - (0.5 * truncation).min(1.5));
-        let piercing = Piercing::by(&shaft.about);
-        let weight = shaft.weight;
+        let (line, weight) = (shaft.about, shaft.weight);
+        #[inline(always)]
         move |v| {
-            let inside = piercing.pierced(v) & v.distance2.simd_le(truncation * truncation);
+            let inside = pierced(&line, v) & v.distance2.simd_le(truncation * truncation);
             let beside = 1.0 - (v.distance2 - v.along * v.along) * (1.0 / (VOXEL_RADIUS * VOXEL_RADIUS));
             let behind = ((truncation - v.along) * slope).max(0.0).min(1.0);
             (inside, -v.along * inverse, beside * weight * (behind * behind))

@@ -27,7 +27,7 @@ mod cells;
 mod near;
 mod plane;
 
-use std::time::Instant;
+use std::{ops::Range, time::Instant};
 
 use glam::IVec3;
 use serde::{Deserialize, Serialize};
@@ -147,8 +147,8 @@ impl Roldao {
                     }
                 }
             }
-            Ok(())
         };
+        let name = |range: Range<usize>, near: &mut Near<u32>| range.for_each(|i| name(i, near));
         let blocks_about = |block, named: &Items<'_, u32>, updates: &mut _| {
             let cells = named.iter().map(|&i| blocks[i as usize]);
             adaptive.update(block, cells, updates);

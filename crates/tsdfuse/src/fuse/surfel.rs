@@ -96,7 +96,8 @@ impl Integrator for Surfels {
         let prepare_secs = start.elapsed().as_secs_f64();
 
         let discs = &self.discs;
-        let integration = self.shafts.run(map, discs.len(), |i| Ok(discs[i]), &AcrossDisc);
+        let all: Vec<u32> = (0..discs.len() as u32).collect();
+        let integration = self.shafts.run(map, &all, |i| Ok(discs[i]), &AcrossDisc);
         Ok(Integration {
             fused_returns,
             skipped,
@@ -111,8 +112,11 @@ struct AcrossDisc;
 impl Rule for AcrossDisc {
     #[inline(always)]
     fn of<S: Simd>(&self, _: S, shaft: &Shaft) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
-        let Cylinder { radius, half_length, .. } = shaft.about;
+        let Cylinder {
+            radius, half_length, ..
+        } = shaft.about;
         let (weight, inverse) = (shaft.weight, 1.0 / half_length);
+        #[inline(always)]
         move |v| {
             let by_distance = weight / (v.distance2.sqrt() * inverse + 1.0); // (5.25)(5.27)
             (v.within(radius, half_length), v.along * inverse, by_distance) // (5.21)(5.22)(5.24)
