@@ -189,15 +189,8 @@ impl Sample {
 
 /// All points, each placed from where the sensor was when it measured it.
 fn points_in_world(scan: &Scan) -> impl Iterator<Item = DVec3> + '_ {
-    let trajectory = scan.trajectory();
-    (0..).zip(&scan.points).map(move |(i, point): (usize, _)| {
-        let secs = scan.times.as_ref().and_then(|times| times.get(i));
-        let pose = match (&trajectory, secs) {
-            (Some(trajectory), Some(&secs)) => trajectory.at(f64::from(secs)),
-            _ => scan.pose,
-        };
-        pose.transform_point(point.as_dvec3())
-    })
+    let placed = scan.poses().zip(&scan.points);
+    placed.map(|(pose, point)| pose.transform_point(point.as_dvec3()))
 }
 
 fn path_length_m(scans: &[ScanRef]) -> f64 {

@@ -220,6 +220,18 @@ impl Scan {
         self.intensities.iter_mut().for_each(|c| filter(c, keep));
     }
 
+    /// `world_from_sensor` at the moment of each return.
+    pub fn poses(&self) -> impl Iterator<Item = Pose> {
+        let trajectory = self.trajectory();
+        (0..self.points.len()).map(move |i| {
+            let secs = self.times.as_ref().and_then(|times| times.get(i));
+            match (&trajectory, secs) {
+                (Some(trajectory), Some(&secs)) => trajectory.at(f64::from(secs)),
+                _ => self.pose,
+            }
+        })
+    }
+
     /// The sensor's motion as a function of seconds after `pose`; `None` where all returns are placed from `pose`.
     pub fn trajectory(&self) -> Option<Trajectory> {
         let motion = self.motion.filter(|m| m.secs != 0.0 && self.times.is_some())?;
