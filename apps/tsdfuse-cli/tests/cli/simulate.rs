@@ -66,13 +66,8 @@ fn a_sequence_is_complete_and_repeatable() {
     assert_eq!(ply::read(&a.join("scene.ply")).1, 12);
     // On the box, though the returns are noisy and the sensor moved.
     let (hits, _) = ply::read(&a.join("hits.ply"));
-    let (corners, _) = ply::read(&a.join("scene.ply"));
-    let [low, high] = [f64::min, f64::max].map(|of| {
-        let along = |axis: usize| corners.iter().map(|c| c[axis]).reduce(of).unwrap();
-        glam::DVec3::new(along(0), along(1), along(2))
-    });
-    let off = |p: &glam::DVec3| (*p - low).abs().min((*p - high).abs()).min_element();
-    assert!(hits.len() > 500 && hits.iter().all(|p| off(p) < 1e-5));
+    let scene = tsdfuse_sim::scene::by_name("box", 7).unwrap();
+    assert!(hits.len() > 500 && hits.iter().all(|p| scene.signed_distance(*p).abs() < 1e-5));
     assert!(
         fs::read_to_string(a.join("simulation.toml"))
             .unwrap()
