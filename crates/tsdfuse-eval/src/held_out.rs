@@ -35,9 +35,10 @@ pub struct HeldOut {
     pub false_surface: f64,
     /// Share without surface up to the margin behind the return.
     pub missing: f64,
-    /// |Δr| of the hits: measured range against that of the surface.
-    pub error: Stats,
-    /// Mean of Δr = surface − measured, over the hits, metres: negative where surface stands too near to the sensor.
+    /// |Δr| of the hits: measured range against that of the surface; `None` without any.
+    pub error: Option<Stats>,
+    /// Mean of Δr = surface − measured, over the hits, metres: negative where surface stands too near to the sensor; 0 without
+    /// any.
     pub bias_m: f64,
     /// Mean over all returns of min(|Δr|, margin), false and missing surface counting as the margin, metres. Holes do not make
     /// it better.
@@ -103,7 +104,7 @@ impl Collector {
             false_surface: share(self.in_front),
             missing: share(self.returns - hits - self.in_front),
             error: Stats::of(&absolute),
-            bias_m: self.errors_m.iter().sum::<f64>() / hits as f64,
+            bias_m: self.errors_m.iter().sum::<f64>() / hits.max(1) as f64,
             capped_error_m: (absolute.iter().sum::<f64>() + misses * self.margin_m) / self.returns as f64,
         })
     }

@@ -29,6 +29,8 @@ pub mod color;
 pub mod compare;
 pub mod dense;
 mod error;
+pub mod held_out;
+pub mod picture;
 mod plausible;
 pub mod protocol;
 pub mod reference;

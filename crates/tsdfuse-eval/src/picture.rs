@@ -156,7 +156,13 @@ impl Canvas {
     fn draw(&mut self, corners: [DVec3; 3], color: [u8; 3]) {
         let [a, b, c] = corners.map(|corner| self.project(corner));
         let twice_area = (b - a).truncate().perp_dot((c - a).truncate());
-        let range = |axis| self.between(axis, a[axis].min(b[axis]).min(c[axis]), a[axis].max(b[axis]).max(c[axis]));
+        let range = |axis| {
+            self.between(
+                axis,
+                a[axis].min(b[axis]).min(c[axis]),
+                a[axis].max(b[axis]).max(c[axis]),
+            )
+        };
         let (rows, columns) = (range(1), range(0));
         for (row, column) in rows.flat_map(|row| columns.clone().map(move |column| (row, column))) {
             let p = DVec3::new(column as f64, row as f64, 0.0);
@@ -172,7 +178,10 @@ impl Canvas {
     fn dot(&mut self, point: DVec3, size: usize) {
         let at = self.project(point);
         let half = 0.5 * size as f64;
-        let (rows, columns) = (self.between(1, at.y - half, at.y + half), self.between(0, at.x - half, at.x + half));
+        let (rows, columns) = (
+            self.between(1, at.y - half, at.y + half),
+            self.between(0, at.x - half, at.x + half),
+        );
         // Far points are brighter, so that depth is seen.
         let shade = (60.0 + 120.0 * (point.x / 40.0).min(1.0)) as u8 & !7;
         for (row, column) in rows.flat_map(|row| columns.clone().map(move |column| (row, column))) {

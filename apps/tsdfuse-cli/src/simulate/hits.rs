@@ -52,7 +52,10 @@ mod tests {
             },
             ..Default::default()
         };
-        hits.add(&scan(&[[1.01, 0.01, 0.01], [1.03, 0.02, 0.02], [1.01, -0.01, 0.01]], 0.0));
+        hits.add(&scan(
+            &[[1.01, 0.01, 0.01], [1.03, 0.02, 0.02], [1.01, -0.01, 0.01]],
+            0.0,
+        ));
         hits.add(&scan(&[[1.02, 0.01, 0.01], [1.02, 0.01, 0.01]], 0.005)); // the first cell again
         hits.add(&scan(&[[1.01, 0.01, 0.01]], 0.05));
         let kept = hits.into_cloud().vertices;

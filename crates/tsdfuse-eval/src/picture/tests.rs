@@ -45,12 +45,25 @@ fn literal(view: &View, mesh: &Mesh) -> Vec<bool> {
 fn what_is_drawn_is_what_rays_meet_also_where_triangles_pass_the_camera() {
     let corner = |x, y, z| DVec3::new(x, y, z);
     let floor = Mesh {
-        vertices: vec![corner(-9.0, -5.3, -1.0), corner(30.0, 0.7, -1.1), corner(-9.0, 6.1, -0.9)],
+        vertices: vec![
+            corner(-9.0, -5.3, -1.0),
+            corner(30.0, 0.7, -1.1),
+            corner(-9.0, 6.1, -0.9),
+        ],
         triangles: vec![[0, 1, 2]],
         ..Default::default()
     };
-    let mut turned = View::between(Pinhole::with_fov(40, 30, 1.5), DVec3::new(0.1, 0.2, 0.3), corner(3.0, 1.0, -0.7));
-    for (view, mesh) in [(ahead(), &board(4.0, 2.3)), (ahead(), &floor), (turned, &board(4.0, 2.3)), (turned, &floor)] {
+    let mut turned = View::between(
+        Pinhole::with_fov(40, 30, 1.5),
+        DVec3::new(0.1, 0.2, 0.3),
+        corner(3.0, 1.0, -0.7),
+    );
+    for (view, mesh) in [
+        (ahead(), &board(4.0, 2.3)),
+        (ahead(), &floor),
+        (turned, &board(4.0, 2.3)),
+        (turned, &floor),
+    ] {
         let image = view.of_mesh(mesh, None);
         let wanted = literal(&view, mesh);
         let drawn: Vec<bool> = (0..1200).map(|i| pixel(&image, i % 40, i / 40) != WHITE).collect();
@@ -73,7 +86,10 @@ fn the_nearer_surface_is_seen_and_backs_are_almost_black_or_left_out() {
     let colors: Vec<[u8; 3]> = (0..8).map(|v| if v < 4 { [0, 0, 255] } else { [255, 0, 0] }).collect();
     let image = ahead().of_mesh(&both, Some(&colors));
     let [red, blue] = [pixel(&image, 20, 15), pixel(&image, 8, 15)];
-    assert!(red[0] > 200 && red[2] == 0 && blue[2] > 150 && blue[0] == 0, "{red:?} {blue:?}");
+    assert!(
+        red[0] > 200 && red[2] == 0 && blue[2] > 150 && blue[0] == 0,
+        "{red:?} {blue:?}"
+    );
 
     let mut back = board(2.0, 3.0);
     back.triangles.iter_mut().for_each(|t| t.reverse());

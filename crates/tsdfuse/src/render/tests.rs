@@ -341,7 +341,11 @@ fn single_rays_meet_what_a_camera_there_sees() {
 fn a_ray_sees_no_farther_than_it_goes_and_only_where_it_is_a_ray() {
     let map = ball(IVec3::ZERO);
     let renderer = Renderer::new(&map, &RenderConfig::default()).unwrap();
-    let ray = |origin, direction, length_m| Ray { origin, direction, length_m };
+    let ray = |origin, direction, length_m| Ray {
+        origin,
+        direction,
+        length_m,
+    };
     let start = -DVec3::X;
     let met = renderer.cast(&[
         ray(start, DVec3::X, 0.25),
