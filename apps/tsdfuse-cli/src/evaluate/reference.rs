@@ -1,0 +1,120 @@
+//! What meshes are compared with.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use glam::DVec3;
+use serde::Serialize;
+use tsdfuse::scan::RangeLimits;
+use tsdfuse_eval::{Protocol, Reference};
+use tsdfuse_io::Dataset;
+use tsdfuse_io::geometry::{self, Geometry};
+
+use super::args::Args;
+use crate::progress::{self, note};
+
+/// The reference, and what it is.
+#[derive(Debug, Serialize)]
+pub(crate) struct Chosen {
+    #[serde(skip)]
+    pub(crate) reference: Reference,
+    /// In words.
+    pub(crate) words: String,
+    /// The file, the folder of the truth, or the data set.
+    pub(crate) path: PathBuf,
+    pub(crate) kind: &'static str,
+    /// Points that meshes should come close to.
+    pub(crate) points: Option<usize>,
+    /// Triangles of a mesh.
+    pub(crate) triangles: Option<usize>,
+    /// How meshes are compared with it.
+    pub(crate) protocol: Protocol,
+}
+
+impl Chosen {
+    /// What was asked for, or the truth of a simulated data set, or the points of the scans `indices`.
+    pub(crate) fn by(args: &Args, dataset: &Dataset, indices: &[usize], range: RangeLimits) -> Result<Self> {
+        let own = &args.settings.dataset;
+        let truth = ["scene.ply", "hits.ply"].map(|name| own.join(name));
+        let (reference, words, path) = match &args.reference {
+            Some(folder) if folder.is_dir() => {
+                let other = tsdfuse_io::open(folder)?;
+                let range = RangeLimits {
+                    min_range_m: other.min_range_m().unwrap_or(range.min_range_m),
+                    ..range
+                };
+                let all: Vec<usize> = (0..other.len()).collect();
+                let points = points(&other, &all, args.every, range)?;
+                (Reference::cloud(points)?, scans_in_words(all.len(), args.every), folder)
+            }
+            Some(file) => {
+                let (reference, words) = from_file(file)?;
+                (reference, words.to_owned(), file)
+            }
+            None if truth.iter().all(|file| file.is_file()) => {
+                let reference = simulated(&truth).with_context(|| own.display().to_string())?;
+                let words = "the true surface of the simulation (scene.ply); completeness: of the part that beams hit (hits.ply)";
+                (reference, words.to_owned(), own)
+            }
+            None => {
+                if truth[0].is_file() {
+                    note("there is a scene.ply but no hits.ply: simulate again for the truth; points of the scans are the reference");
+                }
+                let points = points(dataset, indices, args.every, range)?;
+                (Reference::cloud(points)?, scans_in_words(indices.len(), args.every), own)
+            }
+        };
+        let default = if reference.kind() == "mesh" { "surface" } else { "thesis" };
+        let name = args.protocol.as_deref().unwrap_or(default);
+        let mut protocol = Protocol::by_name(name).with_context(|| format!("no protocol {name}"))?;
+        protocol.samples = args.samples.unwrap_or(protocol.samples);
+        Ok(Self {
+            words,
+            path: path.clone(),
+            kind: reference.kind(),
+            points: reference.points().map(<[_]>::len),
+            triangles: reference.as_mesh().map(|mesh| mesh.triangles.len()),
+            reference,
+            protocol,
+        })
+    }
+}
+
+fn from_file(path: &Path) -> Result<(Reference, &'static str)> {
+    let read = match geometry::read(path)? {
+        Geometry::Mesh(mesh) => (Reference::mesh(mesh), "a mesh"),
+        Geometry::Cloud(points) => (Reference::cloud(points), "a cloud"),
+    };
+    Ok((read.0.with_context(|| path.display().to_string())?, read.1))
+}
+
+/// The truth of a simulated data set.
+fn simulated([scene, hits]: &[PathBuf; 2]) -> Result<Reference> {
+    let (Geometry::Mesh(scene), Geometry::Cloud(hits)) = (geometry::read(scene)?, geometry::read(hits)?) else {
+        bail!("scene.ply is not a mesh, or hits.ply is not a cloud");
+    };
+    Ok(Reference::mesh(scene)?.with_observed(hits)?)
+}
+
+fn scans_in_words(scans: usize, every: u32) -> String {
+    match every {
+        1 => format!("the points of all {scans} scans"),
+        _ => format!("the points of every {every}th of {scans} scans"),
+    }
+}
+
+/// The valid points of every `every`-th scan, in the world.
+fn points(dataset: &Dataset, indices: &[usize], every: u32, range: RangeLimits) -> Result<Vec<DVec3>> {
+    let chosen: Vec<usize> = indices.iter().copied().step_by(every as usize).collect();
+    let bar = progress::scans("reading the reference", chosen.len());
+    let mut all = Vec::new();
+    for read in dataset.iter_indices(chosen) {
+        bar.inc(1);
+        // A scan that cannot be read is told of where it is to be fused.
+        let Ok(mut scan) = read.scan else { continue };
+        scan.drop_invalid(&range);
+        let placed = scan.poses().zip(&scan.points);
+        all.extend(placed.map(|(pose, point)| pose.transform_point(point.as_dvec3())));
+    }
+    Ok(all)
+}
