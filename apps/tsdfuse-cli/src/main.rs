@@ -1,6 +1,7 @@
 //! The `tsdfuse` command: LiDAR log in, surface out. It translates; the work is done by the libraries.
 
 mod config;
+mod evaluate;
 mod exit;
 mod fuse;
 mod info;
@@ -27,6 +28,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Fuse(Box<fuse::Args>),
+    Evaluate(Box<evaluate::Args>),
     Mesh(mesh::Args),
     Render(Box<render::Args>),
     Simulate(simulate::Args),
@@ -40,6 +42,7 @@ fn main() -> ExitCode {
     };
     exit::code(match &cli.command {
         Command::Fuse(args) => fuse::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
         Command::Mesh(args) => mesh::run(args),
         Command::Render(args) => render::run(args),
         Command::Simulate(args) => simulate::run(args),

@@ -76,20 +76,39 @@ pub(crate) fn fuse(settings: &Settings, form: &Form, wanted: Wanted, report: &Pa
     let mut arguments: Vec<OsString> = vec!["fuse".into(), settings.dataset.clone().into()];
     arguments.extend(settings.arguments());
     arguments.extend(form.arguments().into_iter().map(OsString::from));
-    for (flag, path) in [("--output", wanted.mesh), ("--save-map", wanted.map), ("--report", Some(report))] {
-        arguments.extend(path.into_iter().flat_map(|path| [flag.into(), path.as_os_str().to_owned()]));
+    for (flag, path) in [
+        ("--output", wanted.mesh),
+        ("--save-map", wanted.map),
+        ("--report", Some(report)),
+    ] {
+        arguments.extend(
+            path.into_iter()
+                .flat_map(|path| [flag.into(), path.as_os_str().to_owned()]),
+        );
     }
     if let Some(every) = wanted.hold_out {
         arguments.extend(["--hold-out".into(), every.to_string().into()]);
     }
     let program = std::env::current_exe().context("this program's own file")?;
-    let done = Command::new(program).args(arguments).stdin(Stdio::null()).output().context("tsdfuse fuse")?;
+    let done = Command::new(program)
+        .args(arguments)
+        .stdin(Stdio::null())
+        .output()
+        .context("tsdfuse fuse")?;
     // 3: scans were skipped, as the report says.
     if !matches!(done.status.code(), Some(0 | 3)) {
         let told = String::from_utf8_lossy(&done.stderr);
-        match told.lines().rev().find_map(|line| line.strip_prefix("tsdfuse: error: ")) {
+        match told
+            .lines()
+            .rev()
+            .find_map(|line| line.strip_prefix("tsdfuse: error: "))
+        {
             Some(reason) => bail!("{reason}"),
-            None => bail!("tsdfuse fuse ended with {}: {}", done.status, told.lines().last().unwrap_or_default()),
+            None => bail!(
+                "tsdfuse fuse ended with {}: {}",
+                done.status,
+                told.lines().last().unwrap_or_default()
+            ),
         }
     }
     let text = std::fs::read(report).with_context(|| report.display().to_string())?;

@@ -57,7 +57,10 @@ impl Form {
         if settings.iter().any(|s| !s.contains('=')) {
             return Err(wanted());
         }
-        let method = method.trim().parse().map_err(|e| Usage::new(format_args!("--method-set {text}: {e}")))?;
+        let method = method
+            .trim()
+            .parse()
+            .map_err(|e| Usage::new(format_args!("--method-set {text}: {e}")))?;
         Ok(Self {
             name: text.to_owned(),
             method,
@@ -70,13 +73,20 @@ impl Form {
         let all = Self::all();
         let mut chosen = Vec::new();
         let default = [ALL.to_owned()];
-        let names = if names.is_empty() && written_out.is_empty() { &default } else { names };
+        let names = if names.is_empty() && written_out.is_empty() {
+            &default
+        } else {
+            names
+        };
         for name in names {
             let count = chosen.len();
             chosen.extend(all.iter().filter(|form| name == ALL || form.name == *name).cloned());
             if chosen.len() == count {
                 let known: Vec<_> = all.iter().map(|form| form.name.as_str()).collect();
-                return Err(Usage::new(format_args!("no method {name}; there are all, {}", known.join(", "))));
+                return Err(Usage::new(format_args!(
+                    "no method {name}; there are all, {}",
+                    known.join(", ")
+                )));
             }
         }
         for text in written_out {
@@ -97,7 +107,13 @@ impl Form {
 
     /// Its name as a file's.
     pub(crate) fn file_stem(&self) -> String {
-        let keep = |c: char| if c.is_ascii_alphanumeric() || "-.=".contains(c) { c } else { '_' };
+        let keep = |c: char| {
+            if c.is_ascii_alphanumeric() || "-.=".contains(c) {
+                c
+            } else {
+                '_'
+            }
+        };
         self.name.chars().map(keep).collect()
     }
 }
@@ -117,7 +133,10 @@ mod tests {
         let all = chosen(&[], &[]).unwrap();
         assert_eq!(all.len(), Method::ALL.len() + NOTABLE.len());
         assert_eq!(chosen(&["all"], &[]).unwrap(), all);
-        assert_eq!(chosen(&["normals", "raycast-projective"], &[]).unwrap(), ["normals", "raycast-projective"]);
+        assert_eq!(
+            chosen(&["normals", "raycast-projective"], &[]).unwrap(),
+            ["normals", "raycast-projective"]
+        );
         let written = "raycast:raycast.distance=projective,map.max_weight=9";
         assert_eq!(chosen(&[], &[written]).unwrap(), [written]);
         assert_eq!(chosen(&["surfel"], &[written]).unwrap(), ["surfel", written]);
@@ -130,10 +149,24 @@ mod tests {
     #[test]
     fn what_is_not_a_form_is_named() {
         let told = chosen(&["magic"], &[]).unwrap_err();
-        assert!(told.starts_with("no method magic; there are all, raycast, raycast-projective, normals"), "{told}");
-        assert!(chosen(&[], &["raycast"]).unwrap_err().contains("METHOD:KEY=VALUE[,KEY=VALUE] is wanted"));
+        assert!(
+            told.starts_with("no method magic; there are all, raycast, raycast-projective, normals"),
+            "{told}"
+        );
+        assert!(
+            chosen(&[], &["raycast"])
+                .unwrap_err()
+                .contains("METHOD:KEY=VALUE[,KEY=VALUE] is wanted")
+        );
         assert!(chosen(&[], &["raycast:x"]).unwrap_err().contains("is wanted"));
-        assert!(chosen(&[], &["magic:a=b"]).unwrap_err().contains("--method-set magic:a=b: no method magic"));
-        assert_eq!(chosen(&["surfel", "surfel"], &[]).unwrap_err(), "surfel is asked for twice");
+        assert!(
+            chosen(&[], &["magic:a=b"])
+                .unwrap_err()
+                .contains("--method-set magic:a=b: no method magic")
+        );
+        assert_eq!(
+            chosen(&["surfel", "surfel"], &[]).unwrap_err(),
+            "surfel is asked for twice"
+        );
     }
 }

@@ -82,7 +82,10 @@ fn summary(results: &Results) -> String {
         results.machine.threads,
         results.machine.date,
     );
-    let warnings = results.methods.iter().flat_map(|row| row.surface.warnings.iter().map(|w| (&row.form.name, w)));
+    let warnings = results
+        .methods
+        .iter()
+        .flat_map(|row| row.surface.warnings.iter().map(|w| (&row.form.name, w)));
     let failed = results.failed.iter().map(|failed| (&failed.name, &failed.reason));
     for (name, text) in warnings.chain(failed) {
         html += &format!("<p><strong>{}</strong>: {}</p>\n", escape(name), escape(text));
@@ -109,14 +112,19 @@ fn pictures(gallery: &Gallery) -> String {
     let mut html = String::new();
     for (number, view) in gallery.views.iter().enumerate() {
         let shots = || gallery.shots.iter().filter(move |shot| shot.view == number);
-        html += &format!("<h2>{}</h2>\n<p>Black is the back of a surface.</p>\n<div class=\"shots\">\n", escape(view));
+        html += &format!(
+            "<h2>{}</h2>\n<p>Black is the back of a surface.</p>\n<div class=\"shots\">\n",
+            escape(view)
+        );
         shots().for_each(|shot| html += &figure(shot, &shot.surface));
         html += "</div>\n";
         if shots().any(|shot| shot.error.is_some()) {
             html += "<h3>Distance to the reference</h3>\n";
             html += &scale(gallery);
             html += "<div class=\"shots\">\n";
-            shots().filter_map(|shot| Some((shot, shot.error.as_ref()?))).for_each(|(shot, png)| html += &figure(shot, png));
+            shots()
+                .filter_map(|shot| Some((shot, shot.error.as_ref()?)))
+                .for_each(|(shot, png)| html += &figure(shot, png));
             html += "</div>\n";
         }
     }
@@ -139,7 +147,9 @@ fn scale(gallery: &Gallery) -> String {
     });
     let stops = stops.collect::<Vec<_>>().join(", ");
     let most = 100.0 * gallery.max_error_m;
-    format!("<div class=\"scale\">0 <span style=\"background: linear-gradient(90deg, {stops})\"></span> {most} cm and more</div>\n")
+    format!(
+        "<div class=\"scale\">0 <span style=\"background: linear-gradient(90deg, {stops})\"></span> {most} cm and more</div>\n"
+    )
 }
 
 #[cfg(test)]

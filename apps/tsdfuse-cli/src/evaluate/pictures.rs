@@ -61,7 +61,10 @@ impl Views {
         let camera = Pinhole::with_fov(SIZE.0, SIZE.1, FOV_RAD);
         let asked = args.view.iter().map(|&[from, to]| {
             let place = |p: DVec3| format!("({:.1}, {:.1}, {:.1})", p.x, p.y, p.z);
-            (format!("From {} to {}", place(from), place(to)), View::between(camera, from, to))
+            (
+                format!("From {} to {}", place(from), place(to)),
+                View::between(camera, from, to),
+            )
         });
         let mut views: Vec<_> = asked.collect();
         if views.is_empty() {
@@ -69,9 +72,15 @@ impl Views {
             let thirds = [poses.len() / 3, 2 * poses.len() / 3];
             for (number, pose) in thirds.into_iter().filter_map(|i| Some((i, poses.get(i)?))) {
                 // Level, but for looking a little down.
-                let ahead = (pose.rotation * DVec3::X).with_z(0.0).try_normalize().unwrap_or(DVec3::X);
+                let ahead = (pose.rotation * DVec3::X)
+                    .with_z(0.0)
+                    .try_normalize()
+                    .unwrap_or(DVec3::X);
                 let to = pose.translation + ahead - 0.15 * DVec3::Z;
-                views.push((format!("From the sensor in scan {number}"), View::between(camera, pose.translation, to)));
+                views.push((
+                    format!("From the sensor in scan {number}"),
+                    View::between(camera, pose.translation, to),
+                ));
             }
         }
         Self {
@@ -89,10 +98,16 @@ fn from_above(camera: Pinhole, mesh: &Mesh) -> Option<View> {
         let rank = |share: f64| along.get((share * along.len() as f64) as usize).copied();
         Some([rank(BEYOND)?, rank(1.0 - BEYOND)?])
     });
-    let [Some([x0, x1]), Some([y0, y1]), Some([z0, z1])] = bounds else { return None };
+    let [Some([x0, x1]), Some([y0, y1]), Some([z0, z1])] = bounds else {
+        return None;
+    };
     let middle = 0.5 * DVec3::new(x0 + x1, y0 + y1, z0 + z1);
     // Across the long side.
-    let turn = if x1 - x0 > y1 - y0 { -1.4 * FRAC_PI_4 } else { 0.6 * FRAC_PI_4 };
+    let turn = if x1 - x0 > y1 - y0 {
+        -1.4 * FRAC_PI_4
+    } else {
+        0.6 * FRAC_PI_4
+    };
     let (sin, cos) = turn.sin_cos();
     let back = DVec3::new(cos, sin, 0.75).normalize();
     let distance = 0.62 * DVec3::new(x1 - x0, y1 - y0, z1 - z0).length() / (0.5 * f64::from(FOV_RAD)).tan();
@@ -122,8 +137,17 @@ impl Gallery {
     /// Adds all views of a mesh, and those in the colours of its errors.
     pub(crate) fn add_mesh(&mut self, views: &Views, name: &str, mesh: &Mesh, chosen: &Chosen) -> Result<()> {
         let errors = chosen.reference.distances(&mesh.vertices);
-        let colors: Vec<[u8; 3]> = errors.iter().map(|&e| color::of_distance(e, views.max_error_m)).collect();
-        let draw = |colors| views.views.par_iter().map(|(_, view)| view.of_mesh(mesh, colors)).collect();
+        let colors: Vec<[u8; 3]> = errors
+            .iter()
+            .map(|&e| color::of_distance(e, views.max_error_m))
+            .collect();
+        let draw = |colors| {
+            views
+                .views
+                .par_iter()
+                .map(|(_, view)| view.of_mesh(mesh, colors))
+                .collect()
+        };
         self.add(name, draw(None), Some(draw(Some(&colors))))
     }
 

@@ -48,12 +48,24 @@ pub(crate) fn of(results: &Results) -> Result<Vec<Plot>> {
     let held_out = |row: &Row| row.held_out_histogram.clone();
     let mut plots = Vec::new();
     for (of, density, cumulative) in [
-        (&surface as &dyn Fn(&Row) -> Option<Histogram>, "Distances of the mesh to the reference", "Share of the mesh within a distance"),
-        (&held_out, "Errors of held-out ranges", "Share of the hits within an error"),
+        (
+            &surface as &dyn Fn(&Row) -> Option<Histogram>,
+            "Distances of the mesh to the reference",
+            "Share of the mesh within a distance",
+        ),
+        (
+            &held_out,
+            "Errors of held-out ranges",
+            "Share of the hits within an error",
+        ),
     ] {
         let lines = |points: fn(&Histogram) -> Vec<(f64, f64)>| -> Vec<Line> {
             let some = rows.iter().filter_map(|row| Some((row, of(row)?)));
-            some.map(|(row, histogram)| Line { row, points: points(&histogram) }).collect()
+            some.map(|(row, histogram)| Line {
+                row,
+                points: points(&histogram),
+            })
+            .collect()
         };
         if lines(shares).is_empty() {
             continue;
@@ -67,8 +79,19 @@ pub(crate) fn of(results: &Results) -> Result<Vec<Plot>> {
             svg: draw(&lines(sums), 200.0, "mm", "%")?,
         });
     }
-    let times = |row: &Row| (0..).zip(&row.scan_secs).map(|(i, s): (u32, _)| (f64::from(i), 1e3 * s)).collect();
-    let times: Vec<Line> = rows.iter().map(|row| Line { row, points: times(row) }).collect();
+    let times = |row: &Row| {
+        (0..)
+            .zip(&row.scan_secs)
+            .map(|(i, s): (u32, _)| (f64::from(i), 1e3 * s))
+            .collect()
+    };
+    let times: Vec<Line> = rows
+        .iter()
+        .map(|row| Line {
+            row,
+            points: times(row),
+        })
+        .collect();
     let scans = rows.iter().map(|row| row.scan_secs.len()).max().unwrap_or(0);
     plots.push(Plot {
         title: "Time of each scan, prepare + fuse",
@@ -100,7 +123,11 @@ fn sums(histogram: &Histogram) -> Vec<(f64, f64)> {
 fn draw(lines: &[Line], x_max: f64, x_label: &str, y_label: &str) -> Result<String> {
     let points = || lines.iter().flat_map(|line| &line.points);
     let x_max = points().map(|p| p.0).fold(0.0, f64::max).min(x_max).max(1e-9);
-    let y_max = points().filter(|p| p.0 <= x_max).map(|p| p.1).fold(0.0, f64::max).max(1e-9);
+    let y_max = points()
+        .filter(|p| p.0 <= x_max)
+        .map(|p| p.1)
+        .fold(0.0, f64::max)
+        .max(1e-9);
     let mut svg = String::new();
     {
         let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
@@ -111,8 +138,15 @@ fn draw(lines: &[Line], x_max: f64, x_label: &str, y_label: &str) -> Result<Stri
             .build_cartesian_2d(0.0..x_max, 0.0..y_max * HEADROOM)
             .map_err(said)?;
         let mut mesh = chart.configure_mesh();
-        mesh.x_desc(x_label).y_desc(y_label).light_line_style(TRANSPARENT).bold_line_style(BLACK.mix(0.15));
-        mesh.x_label_formatter(&brief).y_label_formatter(&brief).label_style(("sans-serif", 13)).draw().map_err(said)?;
+        mesh.x_desc(x_label)
+            .y_desc(y_label)
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(BLACK.mix(0.15));
+        mesh.x_label_formatter(&brief)
+            .y_label_formatter(&brief)
+            .label_style(("sans-serif", 13))
+            .draw()
+            .map_err(said)?;
         for line in lines {
             let ([r, g, b], dashed) = style(line.row);
             let stroke = RGBColor(r, g, b).stroke_width(2);
@@ -130,7 +164,8 @@ fn draw(lines: &[Line], x_max: f64, x_label: &str, y_label: &str) -> Result<Stri
 
 /// The map's memory over the peak's, for each form.
 fn bars(rows: &[Row]) -> Result<String> {
-    let megabytes = |row: &Row| [row.peak_memory_bytes.unwrap_or(row.map_bytes), row.map_bytes].map(|b| 1e-6 * b as f64);
+    let megabytes =
+        |row: &Row| [row.peak_memory_bytes.unwrap_or(row.map_bytes), row.map_bytes].map(|b| 1e-6 * b as f64);
     let most = rows.iter().map(|row| megabytes(row)[0]).fold(1.0, f64::max);
     let count = rows.len() as f64;
     let mut svg = String::new();
@@ -144,13 +179,22 @@ fn bars(rows: &[Row]) -> Result<String> {
             .build_cartesian_2d(0.0..most * HEADROOM, 0.0..count)
             .map_err(said)?;
         let mut mesh = chart.configure_mesh();
-        mesh.x_desc("MB").light_line_style(TRANSPARENT).bold_line_style(BLACK.mix(0.15)).y_labels(0);
-        mesh.x_label_formatter(&brief).label_style(("sans-serif", 13)).draw().map_err(said)?;
+        mesh.x_desc("MB")
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(BLACK.mix(0.15))
+            .y_labels(0);
+        mesh.x_label_formatter(&brief)
+            .label_style(("sans-serif", 13))
+            .draw()
+            .map_err(said)?;
         for (i, row) in rows.iter().enumerate() {
             let ([r, g, b], _) = style(row);
             let top = count - i as f64;
             for (length, opacity) in megabytes(row).into_iter().zip([0.4, 1.0]) {
-                let bar = Rectangle::new([(0.0, top - 0.8), (length, top - 0.2)], RGBColor(r, g, b).mix(opacity).filled());
+                let bar = Rectangle::new(
+                    [(0.0, top - 0.8), (length, top - 0.2)],
+                    RGBColor(r, g, b).mix(opacity).filled(),
+                );
                 chart.draw_series([bar]).map_err(said)?;
             }
             let (x, y) = chart.backend_coord(&(0.0, top - 0.5));
@@ -159,7 +203,12 @@ fn bars(rows: &[Row]) -> Result<String> {
                 plotters::style::text_anchor::VPos::Center,
             );
             let text = TextStyle::from(("sans-serif", 13)).pos(place);
-            area.draw(&Text::new(row.form.name.chars().take(24).collect::<String>(), (x - 6, y), text)).map_err(said)?;
+            area.draw(&Text::new(
+                row.form.name.chars().take(24).collect::<String>(),
+                (x - 6, y),
+                text,
+            ))
+            .map_err(said)?;
         }
         area.present().map_err(said)?;
     }

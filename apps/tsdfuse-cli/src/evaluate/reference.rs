@@ -58,13 +58,23 @@ impl Chosen {
             }
             None => {
                 if truth[0].is_file() {
-                    note("there is a scene.ply but no hits.ply: simulate again for the truth; points of the scans are the reference");
+                    note(
+                        "there is a scene.ply but no hits.ply: simulate again for the truth; points of the scans are the reference",
+                    );
                 }
                 let points = points(dataset, indices, args.every, range)?;
-                (Reference::cloud(points)?, scans_in_words(indices.len(), args.every), own)
+                (
+                    Reference::cloud(points)?,
+                    scans_in_words(indices.len(), args.every),
+                    own,
+                )
             }
         };
-        let default = if reference.kind() == "mesh" { "surface" } else { "thesis" };
+        let default = if reference.kind() == "mesh" {
+            "surface"
+        } else {
+            "thesis"
+        };
         let name = args.protocol.as_deref().unwrap_or(default);
         let mut protocol = Protocol::by_name(name).with_context(|| format!("no protocol {name}"))?;
         protocol.samples = args.samples.unwrap_or(protocol.samples);

@@ -66,6 +66,7 @@ pub(crate) struct Row {
     pub(crate) scans_per_sec: Vec<f64>,
     /// The most memory of any run, its mesh included.
     pub(crate) peak_memory_bytes: Option<u64>,
+    pub(crate) threads: usize,
     pub(crate) map_bytes: u64,
     pub(crate) map_blocks: usize,
     pub(crate) triangles: usize,
@@ -140,7 +141,13 @@ mod tests {
 
     #[test]
     fn days_are_dates() {
-        for (days, wanted) in [(0, "1970-01-01"), (59, "1970-03-01"), (11_016, "2000-02-29"), (19_782, "2024-02-29"), (20_513, "2026-03-01")] {
+        for (days, wanted) in [
+            (0, "1970-01-01"),
+            (59, "1970-03-01"),
+            (11_016, "2000-02-29"),
+            (19_782, "2024-02-29"),
+            (20_513, "2026-03-01"),
+        ] {
             assert_eq!(date(days), wanted);
         }
     }

@@ -38,38 +38,79 @@ struct Column {
 }
 
 const fn column(head: &'static str, better: Better, decimals: usize, of: fn(&Row) -> Option<f64>) -> Column {
-    Column { head, better, decimals, of }
+    Column {
+        head,
+        better,
+        decimals,
+        of,
+    }
 }
 
 use Better::{Less, More, Neither};
 
 /// Distances (thesis 7.1 to 7.4).
 const DISTANCE: [Column; 8] = [
-    column("average mm", Less, 2, |r| Some(1e3 * r.surface.all.mesh_to_reference.stats.mean_m)),
-    column("± std mm", Less, 1, |r| Some(1e3 * r.surface.all.mesh_to_reference.stats.std_m)),
-    column("RMSE mm", Less, 1, |r| Some(1e3 * r.surface.all.mesh_to_reference.stats.rmse_m)),
-    column("median mm", Less, 2, |r| Some(1e3 * r.surface.all.mesh_to_reference.stats.median_m)),
-    column("p95 mm", Less, 1, |r| Some(1e3 * r.surface.all.mesh_to_reference.stats.p95_m)),
-    column("Hausdorff m", Less, 3, |r| Some(r.surface.all.mesh_to_reference.stats.max_m)),
-    column("back: average mm", Less, 2, |r| Some(1e3 * r.surface.all.reference_to_mesh.stats.mean_m)),
-    column("back: Hausdorff m", Less, 3, |r| Some(r.surface.all.reference_to_mesh.stats.max_m)),
+    column("average mm", Less, 2, |r| {
+        Some(1e3 * r.surface.all.mesh_to_reference.stats.mean_m)
+    }),
+    column("± std mm", Less, 1, |r| {
+        Some(1e3 * r.surface.all.mesh_to_reference.stats.std_m)
+    }),
+    column("RMSE mm", Less, 1, |r| {
+        Some(1e3 * r.surface.all.mesh_to_reference.stats.rmse_m)
+    }),
+    column("median mm", Less, 2, |r| {
+        Some(1e3 * r.surface.all.mesh_to_reference.stats.median_m)
+    }),
+    column("p95 mm", Less, 1, |r| {
+        Some(1e3 * r.surface.all.mesh_to_reference.stats.p95_m)
+    }),
+    column("Hausdorff m", Less, 3, |r| {
+        Some(r.surface.all.mesh_to_reference.stats.max_m)
+    }),
+    column("back: average mm", Less, 2, |r| {
+        Some(1e3 * r.surface.all.reference_to_mesh.stats.mean_m)
+    }),
+    column("back: Hausdorff m", Less, 3, |r| {
+        Some(r.surface.all.reference_to_mesh.stats.max_m)
+    }),
 ];
 
 const DENSE: [Column; 6] = [
-    column("average mm", Less, 2, |r| Some(1e3 * r.surface.dense.as_ref()?.measures.mesh_to_reference.stats.mean_m)),
-    column("± std mm", Less, 1, |r| Some(1e3 * r.surface.dense.as_ref()?.measures.mesh_to_reference.stats.std_m)),
-    column("Hausdorff m", Less, 3, |r| Some(r.surface.dense.as_ref()?.measures.mesh_to_reference.stats.max_m)),
-    column("complete", More, 4, |r| Some(r.surface.dense.as_ref()?.measures.thresholds.first()?.completeness)),
-    column("F", More, 4, |r| Some(r.surface.dense.as_ref()?.measures.thresholds.first()?.f_score)),
-    column("share of the mesh", Neither, 3, |r| Some(r.surface.dense.as_ref()?.share_of_mesh)),
+    column("average mm", Less, 2, |r| {
+        Some(1e3 * r.surface.dense.as_ref()?.measures.mesh_to_reference.stats.mean_m)
+    }),
+    column("± std mm", Less, 1, |r| {
+        Some(1e3 * r.surface.dense.as_ref()?.measures.mesh_to_reference.stats.std_m)
+    }),
+    column("Hausdorff m", Less, 3, |r| {
+        Some(r.surface.dense.as_ref()?.measures.mesh_to_reference.stats.max_m)
+    }),
+    column("complete", More, 4, |r| {
+        Some(r.surface.dense.as_ref()?.measures.thresholds.first()?.completeness)
+    }),
+    column("F", More, 4, |r| {
+        Some(r.surface.dense.as_ref()?.measures.thresholds.first()?.f_score)
+    }),
+    column("share of the mesh", Neither, 3, |r| {
+        Some(r.surface.dense.as_ref()?.share_of_mesh)
+    }),
 ];
 
 const SHARES: [Column; 6] = [
-    column("precision", More, 4, |r| Some(r.surface.all.thresholds.first()?.precision)),
-    column("complete", More, 4, |r| Some(r.surface.all.thresholds.first()?.completeness)),
+    column("precision", More, 4, |r| {
+        Some(r.surface.all.thresholds.first()?.precision)
+    }),
+    column("complete", More, 4, |r| {
+        Some(r.surface.all.thresholds.first()?.completeness)
+    }),
     column("F", More, 4, |r| Some(r.surface.all.thresholds.first()?.f_score)),
-    column("precision ", More, 4, |r| Some(r.surface.all.thresholds.get(1)?.precision)),
-    column("complete ", More, 4, |r| Some(r.surface.all.thresholds.get(1)?.completeness)),
+    column("precision ", More, 4, |r| {
+        Some(r.surface.all.thresholds.get(1)?.precision)
+    }),
+    column("complete ", More, 4, |r| {
+        Some(r.surface.all.thresholds.get(1)?.completeness)
+    }),
     column("F ", More, 4, |r| Some(r.surface.all.thresholds.get(1)?.f_score)),
 ];
 
@@ -77,11 +118,15 @@ const HELD_OUT: [Column; 8] = [
     column("hits", More, 4, |r| Some(r.held_out.as_ref()?.hit_rate)),
     column("false surface", Less, 4, |r| Some(r.held_out.as_ref()?.false_surface)),
     column("missing", Less, 4, |r| Some(r.held_out.as_ref()?.missing)),
-    column("median mm", Less, 1, |r| Some(1e3 * r.held_out.as_ref()?.error?.median_m)),
+    column("median mm", Less, 1, |r| {
+        Some(1e3 * r.held_out.as_ref()?.error?.median_m)
+    }),
     column("mean mm", Less, 1, |r| Some(1e3 * r.held_out.as_ref()?.error?.mean_m)),
     column("p95 mm", Less, 1, |r| Some(1e3 * r.held_out.as_ref()?.error?.p95_m)),
     column("bias mm", Neither, 1, |r| Some(1e3 * r.held_out.as_ref()?.bias_m)),
-    column("capped mm", Less, 1, |r| Some(1e3 * r.held_out.as_ref()?.capped_error_m)),
+    column("capped mm", Less, 1, |r| {
+        Some(1e3 * r.held_out.as_ref()?.capped_error_m)
+    }),
 ];
 
 const SPEED: [Column; 10] = [
@@ -122,7 +167,11 @@ pub(crate) fn of(results: &Results) -> Vec<Table> {
             results,
         ));
     }
-    let within: Vec<_> = protocol.thresholds_m.iter().map(|t| format!("{} cm", 100.0 * t)).collect();
+    let within: Vec<_> = protocol
+        .thresholds_m
+        .iter()
+        .map(|t| format!("{} cm", 100.0 * t))
+        .collect();
     tables.push(Table::new(
         "Completeness",
         format!(
@@ -132,9 +181,10 @@ pub(crate) fn of(results: &Results) -> Vec<Table> {
         &SHARES[..(3 * within.len()).min(SHARES.len())],
         results,
     ));
-    if let (Some(every), Some(first)) =
-        (results.dataset.hold_out, results.methods.iter().find_map(|row| row.held_out.as_ref()))
-    {
+    if let (Some(every), Some(first)) = (
+        results.dataset.hold_out,
+        results.methods.iter().find_map(|row| row.held_out.as_ref()),
+    ) {
         tables.push(Table::new(
             "Held-out scans",
             format!(
@@ -147,7 +197,12 @@ pub(crate) fn of(results: &Results) -> Vec<Table> {
             results,
         ));
     }
-    let runs = results.methods.iter().map(|row| row.scans_per_sec.len()).max().unwrap_or(0);
+    let runs = results
+        .methods
+        .iter()
+        .map(|row| row.scans_per_sec.len())
+        .max()
+        .unwrap_or(0);
     let mut speed = Table::new(
         "Speed and memory",
         format!(
@@ -161,7 +216,8 @@ pub(crate) fn of(results: &Results) -> Vec<Table> {
         results,
     );
     for (row, (_, cells)) in results.methods.iter().zip(&mut speed.rows) {
-        let [least, most] = [f64::min, f64::max].map(|of| row.scans_per_sec.iter().copied().reduce(of).unwrap_or(f64::NAN));
+        let [least, most] =
+            [f64::min, f64::max].map(|of| row.scans_per_sec.iter().copied().reduce(of).unwrap_or(f64::NAN));
         if let Some(cell) = cells.first_mut().filter(|_| row.scans_per_sec.len() > 1) {
             cell.text += &format!(" ({least:.1}–{most:.1})");
         }
@@ -195,7 +251,8 @@ impl Table {
             Less => values().reduce(f64::min),
             More => values().reduce(f64::max),
         };
-        let is_best = |(_, other): &(String, Vec<Cell>)| other[column].value == best && other[column].text == cells[column].text;
+        let is_best =
+            |(_, other): &(String, Vec<Cell>)| other[column].value == best && other[column].text == cells[column].text;
         best.is_some() && self.rows.len() > 1 && self.rows.iter().any(is_best)
     }
 
@@ -212,7 +269,10 @@ impl Table {
         let mut text = format!("{}\n", self.title);
         for line in &lines {
             let name = format!("  {:<1$}", line[0], widths[0]);
-            let figures = line[1..].iter().zip(&widths[1..]).map(|(figure, width)| format!("  {figure:>width$}"));
+            let figures = line[1..]
+                .iter()
+                .zip(&widths[1..])
+                .map(|(figure, width)| format!("  {figure:>width$}"));
             text += &(name + &figures.collect::<String>());
             text.push('\n');
         }
@@ -239,13 +299,21 @@ impl Table {
 
     /// An HTML table; the best of each column is bold.
     pub(crate) fn html(&self) -> String {
-        let mut html = format!("<h2>{}</h2>\n<p>{}</p>\n<div class=\"wide\"><table><tr><th></th>", self.title, escape(&self.note));
+        let mut html = format!(
+            "<h2>{}</h2>\n<p>{}</p>\n<div class=\"wide\"><table><tr><th></th>",
+            self.title,
+            escape(&self.note)
+        );
         html.extend(self.head.iter().map(|head| format!("<th>{}</th>", head.trim())));
         html += "</tr>\n";
         for (name, cells) in &self.rows {
             html += &format!("<tr><th>{}</th>", escape(name));
             for (column, cell) in cells.iter().enumerate() {
-                let class = if self.is_best(cells, column) { " class=\"best\"" } else { "" };
+                let class = if self.is_best(cells, column) {
+                    " class=\"best\""
+                } else {
+                    ""
+                };
                 html += &format!("<td{class}>{}</td>", cell.text);
             }
             html += "</tr>\n";
