@@ -9,6 +9,7 @@ mod plots;
 mod reference;
 mod results;
 mod tables;
+mod tune;
 
 use std::fs;
 use std::io::Write;
@@ -25,7 +26,7 @@ use tsdfuse_io::geometry::{self, Geometry};
 
 pub(crate) use args::Args;
 
-use crate::config::{DEPTH_CAMERA_TRUNCATION_M, RunConfig, Suggested};
+use crate::config::{RunConfig, Suggested};
 use crate::exit::{Outcome, Usage, one_line};
 use crate::progress::{self, note, say};
 use crate::report::{print, print_json};
@@ -49,6 +50,9 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     for form in &forms {
         let mut layers = args.settings.layers(Some(form.method.name()))?;
         form.settings.iter().try_for_each(|setting| layers.set_text(setting))?;
+    }
+    if args.tune {
+        return tune::run(args, &forms);
     }
     args.settings.set_threads()?;
     let folder = Folder::create(args.output.as_deref())?;
@@ -127,18 +131,7 @@ impl<'a> Evaluation<'a> {
         };
         let (_, held_out) = split(&indices, hold_out)?;
         let suggested = Suggested::by(dataset);
-        let is_camera = suggested.camera.is_some();
-        let margin_m = args.margin.unwrap_or(match is_camera {
-            true => DEPTH_CAMERA_TRUNCATION_M,
-            false => tsdfuse::MapConfig::default().truncation_m,
-        });
-        for (flag, value) in [("--margin", margin_m), ("--max-error", args.max_error)] {
-            if !(value > 0.0 && value.is_finite()) {
-                bail!(Usage::new(format_args!(
-                    "{flag} must be a positive length in metres, not {value}"
-                )));
-            }
-        }
+        let margin_m = args.margin_m(suggested.camera.is_some())?;
         let range = args.settings.layers(None)?.resolve(&suggested)?.range;
         let chosen = Chosen::by(args, dataset, &indices, range)?;
         chosen.protocol.check().map_err(Usage::new)?;
@@ -231,7 +224,7 @@ impl<'a> Evaluation<'a> {
         };
         let row = Row {
             form: form.clone(),
-            command: self.command(form),
+            command: form.command(settings),
             surface: tsdfuse_eval::compare(&mesh, &self.chosen.reference, &self.chosen.protocol)?,
             held_out,
             held_out_histogram,
@@ -287,18 +280,6 @@ impl<'a> Evaluation<'a> {
             result,
             Histogram::of(&errors, self.margin_m / BINS as f64, BINS),
         )))
-    }
-
-    /// The command that makes the mesh again.
-    fn command(&self, form: &Form) -> String {
-        let settings = self.args.settings.arguments();
-        let mut words = vec![
-            "tsdfuse fuse".to_owned(),
-            self.args.settings.dataset.display().to_string(),
-        ];
-        words.extend(settings.iter().map(|word| word.to_string_lossy().into_owned()));
-        words.extend(form.arguments());
-        words.join(" ") + " -o mesh.ply"
     }
 
     /// Draws a mesh, if pictures go anywhere; the first one decides where from.

@@ -63,7 +63,13 @@ impl View {
             let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
             let cos = -normal.normalize_or_zero().dot(corners[0].normalize_or_zero());
             if cos > 0.0 || !self.cull {
-                let shaded = color.map(|c| (f64::from(c) * light(cos)) as u8);
+                // Colours mean something: they keep most of their brightness.
+                let light = if colors.is_some() && cos > 0.0 {
+                    0.5 + 0.5 * light(cos)
+                } else {
+                    light(cos)
+                };
+                let shaded = color.map(|c| (f64::from(c) * light) as u8);
                 clipped(corners, |triangle| canvas.draw(triangle, shaded));
             }
         }

@@ -8,6 +8,7 @@ use tsdfuse::MapConfig;
 use tsdfuse_eval::Protocol;
 
 use crate::config::DEPTH_CAMERA_TRUNCATION_M;
+use crate::exit::Usage;
 use crate::settings::Settings;
 use crate::simulate::parse_triple;
 
@@ -66,7 +67,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_parser = parse_view, allow_hyphen_values = true)]
     pub(super) view: Vec<[DVec3; 2]>,
     /// The error at the bright end of the colours, metres.
-    #[arg(long, value_name = "M", default_value_t = 0.1)]
+    #[arg(long, value_name = "M", default_value_t = 0.05)]
     pub(super) max_error: f64,
     /// Keep the meshes, as PLY, in the folder of the results.
     #[arg(long, requires = "output")]
@@ -79,6 +80,25 @@ pub(crate) struct Args {
     pub(super) budget: f64,
     #[command(flatten)]
     pub(super) settings: Settings,
+}
+
+impl Args {
+    /// The margin of held-out returns, metres.
+    pub(super) fn margin_m(&self, is_camera: bool) -> Result<f64, Usage> {
+        let default = match is_camera {
+            true => DEPTH_CAMERA_TRUNCATION_M,
+            false => MapConfig::default().truncation_m,
+        };
+        let margin_m = self.margin.unwrap_or(default);
+        for (flag, value) in [("--margin", margin_m), ("--max-error", self.max_error)] {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(Usage::new(format_args!(
+                    "{flag} must be a positive length in metres, not {value}"
+                )));
+            }
+        }
+        Ok(margin_m)
+    }
 }
 
 fn parse_view(text: &str) -> Result<[DVec3; 2], String> {

@@ -4,6 +4,7 @@ use serde::Serialize;
 use tsdfuse::fuse::Method;
 
 use crate::exit::Usage;
+use crate::settings::Settings;
 
 /// A method with settings of its own: a row of the tables.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -103,6 +104,19 @@ impl Form {
         let method = ["--method".to_owned(), self.method.name().to_owned()];
         let settings = self.settings.iter().flat_map(|s| ["--set".to_owned(), s.clone()]);
         method.into_iter().chain(settings).collect()
+    }
+
+    /// The command that makes a mesh with it.
+    pub(crate) fn command(&self, settings: &Settings) -> String {
+        let mut words = vec!["tsdfuse fuse".to_owned(), settings.dataset.display().to_string()];
+        words.extend(
+            settings
+                .arguments()
+                .iter()
+                .map(|word| word.to_string_lossy().into_owned()),
+        );
+        words.extend(self.arguments());
+        words.join(" ") + " -o mesh.ply"
     }
 
     /// Its name as a file's.

@@ -19,7 +19,7 @@ const SIZE: (u32, u32) = (480, 300);
 const FOV_RAD: f32 = 1.1;
 
 /// The share of the vertices at each side of the box that a view from above need not show.
-const BEYOND: f64 = 0.02;
+const BEYOND: f64 = 0.05;
 
 /// Views in a row of the contact sheet.
 const ACROSS: usize = 4;
@@ -110,7 +110,7 @@ fn from_above(camera: Pinhole, mesh: &Mesh) -> Option<View> {
     };
     let (sin, cos) = turn.sin_cos();
     let back = DVec3::new(cos, sin, 0.75).normalize();
-    let distance = 0.62 * DVec3::new(x1 - x0, y1 - y0, z1 - z0).length() / (0.5 * f64::from(FOV_RAD)).tan();
+    let distance = 0.55 * DVec3::new(x1 - x0, y1 - y0, z1 - z0).length() / (0.5 * f64::from(FOV_RAD)).tan();
     let view = View::between(camera, middle + back * distance, middle);
     Some(View { cull: true, ..view })
 }
@@ -141,19 +141,16 @@ impl Gallery {
             .iter()
             .map(|&e| color::of_distance(e, views.max_error_m))
             .collect();
-        let draw = |colors| {
-            views
-                .views
-                .par_iter()
-                .map(|(_, view)| view.of_mesh(mesh, colors))
-                .collect()
+        let draw = |colors| -> Vec<Image> {
+            let views = views.views.par_iter();
+            views.map(|(_, view)| view.of_mesh(mesh, colors)).collect()
         };
-        self.add(name, draw(None), Some(draw(Some(&colors))))
+        self.add(name, draw(None), Some(&draw(Some(&colors))))
     }
 
-    fn add(&mut self, name: &str, surfaces: Vec<Image>, errors: Option<Vec<Image>>) -> Result<()> {
+    fn add(&mut self, name: &str, surfaces: Vec<Image>, errors: Option<&[Image]>) -> Result<()> {
         for (view, surface) in surfaces.iter().enumerate() {
-            let error = errors.as_ref().and_then(|errors| errors.get(view));
+            let error = errors.and_then(|errors| errors.get(view));
             self.shots.push(Shot {
                 name: name.to_owned(),
                 view,

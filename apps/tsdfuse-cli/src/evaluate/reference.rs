@@ -109,7 +109,7 @@ fn simulated([scene, hits]: &[PathBuf; 2]) -> Result<Reference> {
 fn scans_in_words(scans: usize, every: u32) -> String {
     match every {
         1 => format!("the points of all {scans} scans"),
-        _ => format!("the points of every {every}th of {scans} scans"),
+        _ => format!("the points of one of {every} of {scans} scans"),
     }
 }
 

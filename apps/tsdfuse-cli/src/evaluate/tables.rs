@@ -206,11 +206,12 @@ pub(crate) fn of(results: &Results) -> Vec<Table> {
     let mut speed = Table::new(
         "Speed and memory",
         format!(
-            "{}, {} threads, {}. Scans/s: 1 / median of prepare + fuse, reading in the background; {runs} runs. Peak: of the whole \
+            "{}, {} threads, {}. Scans/s: 1 / median of prepare + fuse, reading in the background; {runs} run{}. Peak: of the whole \
              process with its mesh.",
             results.machine.processor.as_deref().unwrap_or(results.machine.system),
             results.machine.threads,
-            results.machine.date
+            results.machine.date,
+            if runs == 1 { "" } else { "s" },
         ),
         &SPEED,
         results,
