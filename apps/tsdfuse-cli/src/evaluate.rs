@@ -69,6 +69,10 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         let texts: Vec<_> = tables.iter().map(Table::text).collect();
         print(&texts.join("\n"))?;
     }
+    for row in &results.methods {
+        let warnings = row.surface.warnings.iter();
+        warnings.for_each(|warning| note(format_args!("{}: {warning}", row.form.name)));
+    }
     results
         .failed
         .iter()
@@ -164,7 +168,7 @@ impl<'a> Evaluation<'a> {
                     name: form.name.clone(),
                     reason: one_line(&error),
                 }),
-                Err(error) => return Err(error),
+                Err(error) => return Err(error.context(form.name.clone())),
             }
             bar.inc(1);
         }

@@ -134,8 +134,9 @@ impl Search<'_> {
         for (truncation, voxel) in TRUNCATIONS.iter().flat_map(|t| VOXELS.iter().map(move |v| (*t, *v))) {
             for form in forms {
                 let config = config(form, voxel, truncation)?;
-                // Where they are set, all sizes are the same.
-                if !candidates.iter().any(|c| c.form == *form && c.config == config) {
+                // Where they are set, all sizes are the same, or do not fit together.
+                let is_new = !candidates.iter().any(|c| c.form == *form && c.config == config);
+                if is_new && config.map.validate().is_ok() {
                     candidates.push(Candidate {
                         form: form.clone(),
                         config,

@@ -9,6 +9,7 @@ fn help_texts_are_as_agreed() {
     for (name, arguments) in [
         ("tsdfuse", &["--help"][..]),
         ("fuse", &["fuse", "--help"]),
+        ("evaluate", &["evaluate", "--help"]),
         ("mesh", &["mesh", "--help"]),
         ("render", &["render", "--help"]),
         ("simulate", &["simulate", "--help"]),
