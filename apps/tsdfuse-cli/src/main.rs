@@ -1,6 +1,7 @@
 //! The `tsdfuse` command: LiDAR log in, surface out. It translates; the work is done by the libraries.
 
 mod config;
+mod eval;
 mod exit;
 mod fuse;
 mod info;
@@ -30,6 +31,7 @@ enum Command {
     Render(Box<render::Args>),
     Simulate(simulate::Args),
     Info(info::Args),
+    Eval(eval::Args),
 }
 
 fn main() -> ExitCode {
@@ -43,5 +45,6 @@ fn main() -> ExitCode {
         Command::Render(args) => render::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
+        Command::Eval(args) => eval::run(args),
     })
 }
