@@ -180,17 +180,11 @@ impl Sample {
             let [near, far] = self.range_m.unwrap_or([range; 2]);
             self.range_m = Some([near.min(range), far.max(range)]);
         }
-        for point in points_in_world(&scan) {
+        for point in scan.points_in_world() {
             let [low, high] = self.extent_m.unwrap_or([point; 2]);
             self.extent_m = Some([low.min(point), high.max(point)]);
         }
     }
-}
-
-/// All points, each placed from where the sensor was when it measured it.
-fn points_in_world(scan: &Scan) -> impl Iterator<Item = DVec3> + '_ {
-    let placed = scan.poses().zip(&scan.points);
-    placed.map(|(pose, point)| pose.transform_point(point.as_dvec3()))
 }
 
 fn path_length_m(scans: &[ScanRef]) -> f64 {

@@ -1,6 +1,7 @@
 //! The `tsdfuse` command: LiDAR log in, surface out. It translates; the work is done by the libraries.
 
 mod config;
+mod eval;
 mod evaluate;
 mod exit;
 mod fuse;
@@ -28,11 +29,12 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Fuse(Box<fuse::Args>),
-    Evaluate(Box<evaluate::Args>),
     Mesh(mesh::Args),
     Render(Box<render::Args>),
     Simulate(simulate::Args),
     Info(info::Args),
+    Eval(eval::Args),
+    Evaluate(Box<evaluate::Args>),
 }
 
 fn main() -> ExitCode {
@@ -42,10 +44,11 @@ fn main() -> ExitCode {
     };
     exit::code(match &cli.command {
         Command::Fuse(args) => fuse::run(args),
-        Command::Evaluate(args) => evaluate::run(args),
         Command::Mesh(args) => mesh::run(args),
         Command::Render(args) => render::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
+        Command::Eval(args) => eval::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
     })
 }

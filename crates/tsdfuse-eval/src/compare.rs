@@ -122,6 +122,8 @@ pub fn compare(mesh: &Mesh, reference: &Reference, protocol: &Protocol) -> Resul
         reference_points: points.len(),
         reference_bounds: reference.bounds(),
     };
+    // A mesh is dense everywhere; a cloud where its points are, before voxels thin them out.
+    let density = (reference.kind() == "cloud").then(|| Density::of(&points, protocol.dense));
     let (samples, points, to_reference) = match protocol.voxel_m {
         None => {
             let to_reference = reference.distances(&samples);
@@ -144,14 +146,14 @@ pub fn compare(mesh: &Mesh, reference: &Reference, protocol: &Protocol) -> Resul
         reference.left_out(),
         &format!("parts of the reference {}", reference.kind()),
     ));
-    let dense = match reference.kind() {
-        "mesh" => None,
-        _ => dense(&samples, &points, &to_reference, &to_mesh, protocol),
-    };
-    if dense.is_none() && reference.kind() == "cloud" {
+    let dense = density.as_ref().and_then(|density| {
+        let [samples, points] = [(&samples, &to_reference), (&points, &to_mesh)];
+        dense(density, samples, points, protocol)
+    });
+    if density.is_some() && dense.is_none() {
         let rule = protocol.dense;
         warnings.push(format!(
-            "no place is densely observed: nowhere do 3 × 3 × 3 cubes of {} m hold {} reference points",
+            "no part of both is densely observed: nowhere there do 3 × 3 × 3 cubes of {} m hold {} reference points",
             rule.cube_m, rule.points
         ));
     }
@@ -256,27 +258,24 @@ fn take_samples(mesh: &Mesh, protocol: &Protocol) -> Vec<DVec3> {
     }
 }
 
-/// The figures where the reference is dense, if it is anywhere.
+/// The figures where the reference is dense, if it is anywhere; from places and their distances.
 fn dense(
-    samples: &[DVec3],
-    points: &[DVec3],
-    to_reference: &[f64],
-    to_mesh: &[f64],
+    density: &Density,
+    samples: (&Vec<DVec3>, &Vec<f64>),
+    points: (&Vec<DVec3>, &Vec<f64>),
     protocol: &Protocol,
 ) -> Option<Dense> {
-    let density = Density::of(points, protocol.dense);
-    let chosen = |places: &[DVec3], distances: &[f64]| -> Vec<f64> {
+    let [there, back] = [samples, points].map(|(places, distances)| -> Vec<f64> {
         let dense = density.dense(places);
         distances
             .iter()
             .zip(dense)
             .filter_map(|(&d, dense)| dense.then_some(d))
             .collect()
-    };
-    let [there, back] = [chosen(samples, to_reference), chosen(points, to_mesh)];
+    });
     Some(Dense {
-        share_of_mesh: there.len() as f64 / samples.len() as f64,
-        share_of_reference: back.len() as f64 / points.len() as f64,
+        share_of_mesh: there.len() as f64 / samples.0.len() as f64,
+        share_of_reference: back.len() as f64 / points.0.len() as f64,
         measures: Measures::of(&there, &back, protocol).ok()?,
     })
 }

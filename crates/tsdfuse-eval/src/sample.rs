@@ -66,4 +66,4 @@ pub(crate) fn corners(mesh: &Mesh, triangle: &[u32; 3]) -> [DVec3; 3] {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

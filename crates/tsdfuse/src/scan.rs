@@ -1,6 +1,6 @@
 //! One sweep of a sensor: returns in the sensor frame, and where the sensor was.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use crate::pose::{Interpolation, Pose};
@@ -230,6 +230,12 @@ impl Scan {
                 _ => self.pose,
             }
         })
+    }
+
+    /// All points in the world, each placed from where the sensor was when it measured it.
+    pub fn points_in_world(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let placed = self.poses().zip(&self.points);
+        placed.map(|(pose, point)| pose.transform_point(point.as_dvec3()))
     }
 
     /// The sensor's motion as a function of seconds after `pose`; `None` where all returns are placed from `pose`.

@@ -1,16 +1,16 @@
 //! What meshes are compared with.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use glam::DVec3;
 use serde::Serialize;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse_eval::{Protocol, Reference};
-use tsdfuse_io::Dataset;
-use tsdfuse_io::geometry::{self, Geometry};
+use tsdfuse_io::{Dataset, OpenOptions};
 
 use super::args::Args;
+use crate::eval::{read_points, read_reference};
 use crate::progress::{self, note};
 
 /// The reference, and what it is.
@@ -37,19 +37,13 @@ impl Chosen {
         let own = &args.settings.dataset;
         let truth = ["scene.ply", "hits.ply"].map(|name| own.join(name));
         let (reference, words, path) = match &args.reference {
-            Some(folder) if folder.is_dir() => {
-                let other = tsdfuse_io::open(folder)?;
-                let range = RangeLimits {
-                    min_range_m: other.min_range_m().unwrap_or(range.min_range_m),
-                    ..range
+            Some(path) => {
+                let reference = read_reference(path, args.every as usize, &OpenOptions::default())?;
+                let words = match path.is_dir() {
+                    true => format!("the points of the scans of {}", path.display()),
+                    false => format!("the {} {}", reference.kind(), path.display()),
                 };
-                let all: Vec<usize> = (0..other.len()).collect();
-                let points = points(&other, &all, args.every, range)?;
-                (Reference::cloud(points)?, scans_in_words(all.len(), args.every), folder)
-            }
-            Some(file) => {
-                let (reference, words) = from_file(file)?;
-                (reference, words.to_owned(), file)
+                (reference, words, path)
             }
             None if truth.iter().all(|file| file.is_file()) => {
                 let reference = simulated(&truth).with_context(|| own.display().to_string())?;
@@ -90,20 +84,10 @@ impl Chosen {
     }
 }
 
-fn from_file(path: &Path) -> Result<(Reference, &'static str)> {
-    let read = match geometry::read(path)? {
-        Geometry::Mesh(mesh) => (Reference::mesh(mesh), "a mesh"),
-        Geometry::Cloud(points) => (Reference::cloud(points), "a cloud"),
-    };
-    Ok((read.0.with_context(|| path.display().to_string())?, read.1))
-}
-
 /// The truth of a simulated data set.
 fn simulated([scene, hits]: &[PathBuf; 2]) -> Result<Reference> {
-    let (Geometry::Mesh(scene), Geometry::Cloud(hits)) = (geometry::read(scene)?, geometry::read(hits)?) else {
-        bail!("scene.ply is not a mesh, or hits.ply is not a cloud");
-    };
-    Ok(Reference::mesh(scene)?.with_observed(hits)?)
+    let scene = read_reference(scene, 1, &OpenOptions::default())?;
+    Ok(scene.with_observed(read_points(hits)?)?)
 }
 
 fn scans_in_words(scans: usize, every: u32) -> String {
@@ -123,8 +107,7 @@ fn points(dataset: &Dataset, indices: &[usize], every: u32, range: RangeLimits) 
         // A scan that cannot be read is told of where it is to be fused.
         let Ok(mut scan) = read.scan else { continue };
         scan.drop_invalid(&range);
-        let placed = scan.poses().zip(&scan.points);
-        all.extend(placed.map(|(pose, point)| pose.transform_point(point.as_dvec3())));
+        all.extend(scan.points_in_world());
     }
     Ok(all)
 }

@@ -18,8 +18,7 @@ pub(super) struct Hits {
 impl Hits {
     /// Adds the returns of a scan without noise.
     pub(super) fn add(&mut self, scan: &Scan) {
-        for (pose, point) in scan.poses().zip(&scan.points) {
-            let hit = pose.transform_point(point.as_dvec3());
+        for hit in scan.points_in_world() {
             if self.seen.insert((hit / CELL_M).floor().as_i64vec3()) {
                 self.points.push(hit);
             }

@@ -14,6 +14,7 @@ fn help_texts_are_as_agreed() {
         ("render", &["render", "--help"]),
         ("simulate", &["simulate", "--help"]),
         ("info", &["info", "--help"]),
+        ("eval", &["eval", "--help"]),
     ] {
         let text = String::from_utf8(tsdfuse(arguments).succeeded().stdout).unwrap();
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/cli/help/{name}.txt"));

@@ -2,9 +2,7 @@
 //! Computer Graphics Forum 34(2), 2015.
 
 mod grid;
-
-use std::collections::BinaryHeap;
-use std::collections::binary_heap::PeekMut;
+mod queue;
 
 use rayon::prelude::*;
 use tsdfuse::Mesh;
@@ -12,6 +10,7 @@ use tsdfuse::glam::{DVec3, Vec3};
 
 use super::ByArea;
 use grid::Grid;
+use queue::Queue;
 
 /// Candidates for each sample that is left (section 4: more of them hardly gain anything).
 const CANDIDATES: usize = 5;
@@ -66,11 +65,11 @@ impl Kernel {
 
     /// Equations 2 and 4, rounded; 0 from `reach_m` on.
     fn weight(&self, a: Vec3, b: Vec3) -> u64 {
-        let distance = a.distance(b);
-        if distance >= self.reach_m {
+        let squared = a.distance_squared(b);
+        if squared >= self.reach_m * self.reach_m {
             return 0;
         }
-        let limited = distance.max(self.least_m);
+        let limited = squared.sqrt().max(self.least_m);
         (self.scale * (1.0 - limited / self.reach_m).powi(ALPHA)).round() as u64
     }
 }
@@ -89,23 +88,14 @@ fn eliminate(positions: Vec<Vec3>, count: usize, kernel: &Kernel) -> Vec<u32> {
         })
         .collect();
     let mut alive = vec![true; weights.len()];
-    // Weights only fall, so what the heap holds is never too little; what is too much is put right when it comes to the top.
-    let entries = weights.iter().zip(&grid.numbers).zip(0_u32..);
-    let mut heap: BinaryHeap<(u64, u32, u32)> = entries.map(|((&weight, &number), i)| (weight, number, i)).collect();
-    let mut left = weights.len();
-    while left > count
-        && let Some(mut top) = heap.peek_mut()
-    {
-        let i = top.2 as usize;
-        if weights[i] < top.0 {
-            top.0 = weights[i];
-            continue;
-        }
-        PeekMut::pop(top);
-        alive[i] = false;
-        left -= 1;
-        for j in grid.around(i).filter(|&j| alive[j]) {
-            weights[j] -= kernel.weight(grid.positions[i], grid.positions[j]);
+    let mut queue = Queue::new(&weights);
+    for _ in count..weights.len() {
+        let Some(heaviest) = queue.pop(&weights, &grid.numbers) else {
+            break;
+        };
+        alive[heaviest] = false;
+        for j in grid.around(heaviest).filter(|&j| alive[j]) {
+            weights[j] -= kernel.weight(grid.positions[heaviest], grid.positions[j]);
         }
     }
     let mut kept: Vec<u32> = grid

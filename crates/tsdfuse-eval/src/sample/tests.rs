@@ -1,7 +1,7 @@
 use super::*;
 
 /// Two triangles in the plane z = 0 from the origin.
-pub(super) fn rectangle(width_m: f64, height_m: f64) -> Mesh {
+pub(crate) fn rectangle(width_m: f64, height_m: f64) -> Mesh {
     let corner = |x, y| DVec3::new(x * width_m, y * height_m, 0.0);
     Mesh {
         vertices: vec![corner(0.0, 0.0), corner(1.0, 0.0), corner(1.0, 1.0), corner(0.0, 1.0)],
@@ -11,7 +11,7 @@ pub(super) fn rectangle(width_m: f64, height_m: f64) -> Mesh {
 }
 
 /// A sphere of radius 1 m far from the origin.
-pub(super) fn sphere() -> Mesh {
+pub(crate) fn sphere() -> Mesh {
     let (rings, sectors) = (24_u32, 48_u32);
     let at = |i: u32, j: u32| {
         let (polar, turn) = (
