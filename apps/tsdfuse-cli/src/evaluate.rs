@@ -240,7 +240,7 @@ impl<'a> Evaluation<'a> {
             map_blocks: run.map.blocks,
             triangles: mesh.triangles.len(),
             mesh_secs: run.mesh.map_or(f64::NAN, |mesh| mesh.seconds),
-            fused_share: run.totals.fused as f64 / run.totals.points as f64,
+            fused_share: run.totals.fused as f64 / (run.totals.points - run.totals.dropped.total()) as f64,
             scan_secs: run.scans.iter().map(|scan| scan.prepare + scan.fuse).collect(),
             config: run.config,
             skipped_scans: run.skipped_scans,

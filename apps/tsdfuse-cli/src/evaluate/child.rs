@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
+use tsdfuse::scan::Dropped;
 
 use super::forms::Form;
 use crate::config::RunConfig;
@@ -43,6 +44,7 @@ pub(crate) struct Skipped {
 pub(crate) struct Totals {
     pub(crate) points: u64,
     pub(crate) fused: u64,
+    pub(crate) dropped: Dropped,
     pub(crate) finish: Finish,
 }
 

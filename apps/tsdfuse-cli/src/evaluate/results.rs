@@ -71,7 +71,7 @@ pub(crate) struct Row {
     pub(crate) map_blocks: usize,
     pub(crate) triangles: usize,
     pub(crate) mesh_secs: f64,
-    /// Returns that reached the map, of all in the files.
+    /// The share of the valid returns that reached the map.
     pub(crate) fused_share: f64,
     /// `prepare + fuse` of each scan in that run, seconds.
     pub(crate) scan_secs: Vec<f64>,

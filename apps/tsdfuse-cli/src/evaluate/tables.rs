@@ -207,7 +207,7 @@ pub(crate) fn of(results: &Results) -> Vec<Table> {
         "Speed and memory",
         format!(
             "{}, {} threads, {}. Scans/s: 1 / median of prepare + fuse, reading in the background; {runs} run{}. Peak: of the whole \
-             process with its mesh.",
+             process with its mesh. Fused: share of the valid returns.",
             results.machine.processor.as_deref().unwrap_or(results.machine.system),
             results.machine.threads,
             results.machine.date,
