@@ -7,6 +7,7 @@ use glam::DVec3;
 use tsdfuse::MapConfig;
 use tsdfuse_eval::Protocol;
 
+use super::forms::Form;
 use crate::config::DEPTH_CAMERA_TRUNCATION_M;
 use crate::exit::Usage;
 use crate::settings::Settings;
@@ -27,9 +28,8 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// Which methods: `all`, or names as raycast, raycast-projective, normals, normals-holz, surfel, surfel-ground-flip, cylindrical,
-    /// kuehner, depth, caminal, roldao, roldao-batch [default: all, or none with --method-set].
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',',
+        help = format!("Which methods: all, or some of {} [default: all, or none with --method-set]", Form::names().join(", ")))]
     pub(super) methods: Vec<String>,
     /// A method with settings of its own: METHOD:KEY=VALUE[,KEY=VALUE].
     #[arg(long, value_name = "SET")]

@@ -46,6 +46,11 @@ impl Form {
         forms.collect()
     }
 
+    /// The names of all of them.
+    pub(crate) fn names() -> Vec<String> {
+        Self::all().into_iter().map(|form| form.name).collect()
+    }
+
     /// A form as it stands on the command line: `METHOD:KEY=VALUE[,KEY=VALUE]`.
     fn parse(text: &str) -> Result<Self, Usage> {
         let wanted = || {
@@ -83,11 +88,8 @@ impl Form {
             let count = chosen.len();
             chosen.extend(all.iter().filter(|form| name == ALL || form.name == *name).cloned());
             if chosen.len() == count {
-                let known: Vec<_> = all.iter().map(|form| form.name.as_str()).collect();
-                return Err(Usage::new(format_args!(
-                    "no method {name}; there are all, {}",
-                    known.join(", ")
-                )));
+                let known = Self::names().join(", ");
+                return Err(Usage::new(format_args!("no method {name}; there are all, {known}")));
             }
         }
         for text in written_out {
