@@ -177,8 +177,12 @@ impl<'a> Evaluation<'a> {
             bail!("no method could be used; {name}: {reason}");
         }
         let own = &self.args.settings.dataset;
+        // Where on this machine it lies is nobody's business.
         let full = own.canonicalize().ok();
-        let name = full.as_deref().and_then(Path::file_name).unwrap_or(own.as_os_str());
+        let name = match own.is_relative() && own.file_name().is_some() {
+            true => own.as_os_str(),
+            false => full.as_deref().and_then(Path::file_name).unwrap_or(own.as_os_str()),
+        };
         let results = Results {
             version: env!("CARGO_PKG_VERSION"),
             command_line: std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect(),

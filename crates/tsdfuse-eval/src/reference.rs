@@ -1,6 +1,7 @@
 //! What a mesh is compared with.
 
 mod cloud;
+mod coherent;
 mod triangles;
 
 use std::sync::OnceLock;

@@ -1,8 +1,9 @@
 //! The nearest point of a cloud.
 
 use nabo::{CandidateContainer, KDTree, NotNan, Parameters};
-use rayon::prelude::*;
 use tsdfuse::glam::DVec3;
+
+use super::coherent;
 
 /// Points in the tree are multiples of this, metres: 60 nm. The tree splits at the middle between coordinates, which must
 /// differ from both, so they must not be adjacent floats. Coordinates up to 2²⁷ m keep the middle exact.
@@ -30,13 +31,13 @@ impl CloudTree {
             allow_self_match: true,
             sort_results: false,
         };
-        let distance = |&p: &DVec3| {
+        let distance = |p| {
             let found = self
                 .0
                 .knn_advanced(1, &Point::of(p), CandidateContainer::Linear, &EXACT, None);
             found.first().map_or(f64::INFINITY, |nearest| nearest.dist2.sqrt())
         };
-        points.par_iter().map(distance).collect()
+        coherent::distances(points, distance)
     }
 }
 

@@ -1,10 +1,10 @@
 //! The nearest triangle of a mesh.
 
-use rayon::prelude::*;
 use rstar::{AABB, PointDistance, RTree, RTreeObject};
 use tsdfuse::Mesh;
 use tsdfuse::glam::DVec3;
 
+use super::coherent;
 use crate::sample::corners;
 use crate::triangle::closest_on;
 
@@ -21,11 +21,11 @@ impl TriangleTree {
 
     /// The distance from each of `points` to the nearest triangle, metres.
     pub(crate) fn distances(&self, points: &[DVec3]) -> Vec<f64> {
-        let distance = |p: &DVec3| {
+        let distance = |p: DVec3| {
             let nearest = self.0.nearest_neighbor_with_distance_2(p.to_array());
             nearest.map_or(f64::INFINITY, |(_, squared)| squared.sqrt())
         };
-        points.par_iter().map(distance).collect()
+        coherent::distances(points, distance)
     }
 }
 
