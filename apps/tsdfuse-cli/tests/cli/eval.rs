@@ -37,10 +37,9 @@ fn square(folder: &Folder, name: &str, z: f64, unit: f64) -> String {
 }
 
 fn number(value: &Value, path: &str) -> f64 {
-    value
-        .pointer(path)
-        .and_then(Value::as_f64)
-        .unwrap_or_else(|| panic!("{path}: {value}"))
+    let found = value.pointer(path).and_then(Value::as_f64);
+    assert!(found.is_some(), "{path}: {value}");
+    found.unwrap()
 }
 
 #[test]
