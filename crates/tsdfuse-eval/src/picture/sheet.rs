@@ -1,4 +1,4 @@
-//! Many pictures as one.
+//! Many pictures as one, grey if all of them are.
 
 use tsdfuse::render::{Image, Pixels};
 
@@ -19,9 +19,14 @@ pub fn sheet(pictures: &[&Image], across: usize) -> Image {
             }
         }
     }
+    // A third of the bytes where there are no colours.
+    let pixels = match pixels.iter().all(|[r, g, b]| r == g && g == b) {
+        true => Pixels::Grey(pixels.iter().map(|pixel| pixel[0]).collect()),
+        false => Pixels::Rgb(pixels),
+    };
     Image {
         width: across * width,
         height: rows * height,
-        pixels: Pixels::Rgb(pixels),
+        pixels,
     }
 }

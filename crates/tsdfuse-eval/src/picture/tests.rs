@@ -5,6 +5,7 @@ const WHITE: [u8; 3] = BACKGROUND;
 fn pixel(image: &Image, column: usize, row: usize) -> [u8; 3] {
     match &image.pixels {
         Pixels::Rgb(pixels) => pixels[row * image.width + column],
+        Pixels::Grey(pixels) => [pixels[row * image.width + column]; 3],
         _ => unreachable!("coloured"),
     }
 }
@@ -119,5 +120,11 @@ fn a_sheet_holds_each_picture_in_its_place() {
     assert_eq!((sheet.width, sheet.height), (4, 2));
     let row = |row: usize| (0..4).map(|column| pixel(&sheet, column, row)[0]).collect::<Vec<_>>();
     assert_eq!((row(0), row(1)), (vec![10, 11, 20, 21], vec![30, 31, 255, 255]));
+    assert!(matches!(sheet.pixels, Pixels::Grey(_)));
+    let red = Image {
+        pixels: Pixels::Rgb(vec![[200, 0, 0]; 2]),
+        ..image(0)
+    };
+    assert_eq!(pixel(&super::sheet(&[&a, &red], 2), 2, 0), [200, 0, 0]);
     assert_eq!(super::sheet(&[], 3).width, 0);
 }
