@@ -142,11 +142,15 @@ impl Layers {
         self.set(&format!("--set {setting}"), key, value)
     }
 
+    /// Whether a key of a section is set.
+    pub(crate) fn has(&self, section: &str, key: &str) -> bool {
+        self.0.get(section).is_some_and(|section| section.get(key).is_some())
+    }
+
     /// The whole configuration: what is set, else what the data suggest, else the defaults; checked.
     pub(crate) fn resolve(self, data: &Suggested) -> Result<RunConfig> {
-        let is_free = |section: &str, key: &str| self.0.get(section).is_none_or(|section| section.get(key).is_none());
-        let [min_range, max_range] = ["min_range_m", "max_range_m"].map(|key| is_free("range", key));
-        let [voxel_size, truncation] = ["voxel_size_m", "truncation_m"].map(|key| is_free("map", key));
+        let [min_range, max_range] = ["min_range_m", "max_range_m"].map(|key| !self.has("range", key));
+        let [voxel_size, truncation] = ["voxel_size_m", "truncation_m"].map(|key| !self.has("map", key));
         let method = !self.0.contains_key("method");
         let mut config: RunConfig = Value::Table(self.0).try_into().context("the configuration")?;
         if let Some(min_range_m) = data.min_range_m.filter(|_| min_range) {

@@ -9,37 +9,34 @@ use anyhow::{Context, Result, bail};
 use indicatif::ProgressBar;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::{Integrator, Scan, VoxelMap};
-use tsdfuse_io::{Dataset, OpenOptions, ReadScan};
+use tsdfuse_io::{Dataset, ReadScan};
 
 pub(crate) use args::Args;
 
 use crate::config::Suggested;
 use crate::exit::{Outcome, one_line};
 use crate::mesh::surface;
-use crate::progress::{self, note, say};
+use crate::progress::{self, say};
 use crate::render::preview;
 use crate::report::{
     DatasetReport, FinishReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, left_out,
     peak_memory_bytes, print_json,
 };
+use crate::settings::split;
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let start = Instant::now();
-    let layers = args.layers()?;
+    let settings = &args.settings;
+    let layers = settings.layers(args.method.as_deref())?;
     args.check_outputs()?;
-    args.set_threads()?;
-    let options = OpenOptions {
-        poses: args.poses.clone(),
-        sensor: args.sensor.clone(),
-    };
-    let dataset = tsdfuse_io::open_with(&args.dataset, &options)?;
-    dataset.notes().iter().for_each(note);
-    let indices = args.indices(dataset.len())?;
+    settings.set_threads()?;
+    let dataset = settings.open()?;
+    let (indices, _) = split(&settings.indices(dataset.len())?, args.hold_out)?;
     let suggested = Suggested::by(&dataset);
     let config = layers.resolve(&suggested)?;
 
     let mut fusion = Fusion {
-        dataset: args.dataset.clone(),
+        dataset: settings.dataset.clone(),
         integrator: config.method.build(&config.methods(), suggested.sensor.as_ref()),
         map: VoxelMap::new(config.map)?,
         range: config.range,
@@ -62,7 +59,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         command_line: std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect(),
         threads: rayon::current_num_threads(),
         dataset: DatasetReport {
-            path: args.dataset.clone(),
+            path: settings.dataset.clone(),
             format: dataset.format(),
             scans: dataset.len(),
             sensor: suggested.sensor,
@@ -118,7 +115,7 @@ impl Fusion {
             let index = read.index;
             match self.fuse(read) {
                 Ok(scan) => self.scans.push(scan),
-                Err(error) if args.skip_bad => self.skip(&dataset.scans()[index].name, one_line(&error), &bar),
+                Err(error) if args.settings.skip_bad => self.skip(&dataset.scans()[index].name, one_line(&error), &bar),
                 Err(error) => return Err(error),
             }
             bar.inc(1);

@@ -180,24 +180,11 @@ impl Sample {
             let [near, far] = self.range_m.unwrap_or([range; 2]);
             self.range_m = Some([near.min(range), far.max(range)]);
         }
-        for point in points_in_world(&scan) {
+        for point in scan.points_in_world() {
             let [low, high] = self.extent_m.unwrap_or([point; 2]);
             self.extent_m = Some([low.min(point), high.max(point)]);
         }
     }
-}
-
-/// All points, each placed from where the sensor was when it measured it.
-fn points_in_world(scan: &Scan) -> impl Iterator<Item = DVec3> + '_ {
-    let trajectory = scan.trajectory();
-    (0..).zip(&scan.points).map(move |(i, point): (usize, _)| {
-        let secs = scan.times.as_ref().and_then(|times| times.get(i));
-        let pose = match (&trajectory, secs) {
-            (Some(trajectory), Some(&secs)) => trajectory.at(f64::from(secs)),
-            _ => scan.pose,
-        };
-        pose.transform_point(point.as_dvec3())
-    })
 }
 
 fn path_length_m(scans: &[ScanRef]) -> f64 {

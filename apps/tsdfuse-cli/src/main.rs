@@ -1,6 +1,8 @@
 //! The `tsdfuse` command: LiDAR log in, surface out. It translates; the work is done by the libraries.
 
 mod config;
+mod eval;
+mod evaluate;
 mod exit;
 mod fuse;
 mod info;
@@ -9,6 +11,7 @@ mod output;
 mod progress;
 mod render;
 mod report;
+mod settings;
 mod simulate;
 
 use std::process::ExitCode;
@@ -30,6 +33,8 @@ enum Command {
     Render(Box<render::Args>),
     Simulate(simulate::Args),
     Info(info::Args),
+    Eval(eval::Args),
+    Evaluate(Box<evaluate::Args>),
 }
 
 fn main() -> ExitCode {
@@ -43,5 +48,7 @@ fn main() -> ExitCode {
         Command::Render(args) => render::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
+        Command::Eval(args) => eval::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
     })
 }

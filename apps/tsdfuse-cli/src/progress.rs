@@ -25,6 +25,15 @@ pub(crate) fn scans(doing: &'static str, len: usize) -> ProgressBar {
     )
 }
 
+/// A bar of `len` parts of a longer work, which it names.
+pub(crate) fn steps(doing: &'static str, len: usize) -> ProgressBar {
+    styled(
+        ProgressBar::new(len as u64),
+        doing,
+        "{msg} {wide_bar} {pos}/{len}, {elapsed}",
+    )
+}
+
 /// A sign of life for work of unknown length.
 pub(crate) fn working(doing: &'static str) -> ProgressBar {
     let bar = styled(ProgressBar::new_spinner(), doing, "{spinner} {msg} {elapsed}");

@@ -1,5 +1,7 @@
 //! `tsdfuse simulate`: scans of a scene whose true surface is known.
 
+mod hits;
+
 use std::ffi::OsStr;
 use std::fs;
 use std::io;
@@ -16,13 +18,15 @@ use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
 
 use crate::exit::{Outcome, Usage};
 use crate::progress::{self, say};
+use hits::Hits;
 
 /// Largest distance between the true surface and `scene.ply`.
 const CHORD_M: f64 = 0.002;
 
 const MORE_HELP: &str = "\
-Writes a folder that `tsdfuse fuse` reads, with rings, sensor.toml, the scene's true surface (scene.ply) and how it was
-made (simulation.toml). The same arguments give the same bytes.
+Writes a folder that `tsdfuse fuse` reads, with rings, sensor.toml, the scene's true surface (scene.ply), the part of it \
+that beams hit (hits.ply: returns without noise, the first one in each cell of 5 cm) and how it was made \
+(simulation.toml). The same arguments give the same bytes.
 
 Examples:
   tsdfuse simulate --scene street --scans 80 -o street
@@ -82,7 +86,7 @@ struct Made<'a> {
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let start = Instant::now();
-    let simulator = simulator(args)?;
+    let simulator = simulator(args, args.noise)?;
     let folder = NewFolder::create(&args.output)?;
     let points = write(args, &simulator, &folder.temporary)?;
     folder.finish()?;
@@ -98,7 +102,8 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     Ok(Outcome::Complete)
 }
 
-fn simulator(args: &Args) -> Result<Simulator> {
+/// The simulator, with ranges of this standard deviation.
+fn simulator(args: &Args, range_sigma_m: f64) -> Result<Simulator> {
     let scene = scene::by_name(&args.scene, args.seed).context("the scene cannot be built")?;
     let scene = scene.translated(args.offset);
     let sensor = tsdfuse::sensor::model(&args.sensor).context("the sensor is not known")?;
@@ -107,7 +112,9 @@ fn simulator(args: &Args) -> Result<Simulator> {
         Some(name) => path::by_name(name, &scene, scans).context("the path is not known")?,
         None => path::default_for(&scene, scans),
     };
-    Ok(Simulator::new(scene, sensor, path, config(args)).map_err(Usage::new)?)
+    let mut config = config(args);
+    config.noise.range_sigma_m = range_sigma_m;
+    Ok(Simulator::new(scene, sensor, path, config).map_err(Usage::new)?)
 }
 
 fn config(args: &Args) -> SimulatorConfig {
@@ -135,14 +142,18 @@ fn write(args: &Args, simulator: &Simulator, folder: &Path) -> Result<u64> {
     writer.write_sensor(simulator.sensor())?;
     let bar = progress::scans("simulating", args.scans as usize);
     let mut points = 0;
-    for scan in simulator.scans() {
+    let exact = self::simulator(args, 0.0)?;
+    let mut hits = Hits::default();
+    for (scan, exact) in simulator.scans().zip(exact.scans()) {
         writer.write_scan(&scan)?;
+        hits.add(&exact);
         points += scan.points.len() as u64;
         bar.inc(1);
     }
     drop(bar);
     writer.finish()?;
     tsdfuse_io::mesh::write(folder.join("scene.ply"), &simulator.scene().mesh(CHORD_M))?;
+    tsdfuse_io::mesh::write(folder.join("hits.ply"), &hits.into_cloud())?;
     let made = Made {
         tsdfuse: env!("CARGO_PKG_VERSION"),
         scene: &args.scene,

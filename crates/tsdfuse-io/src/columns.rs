@@ -13,7 +13,7 @@
 
 use std::path::Path;
 
-use tsdfuse::glam::Vec3;
+use tsdfuse::glam::{DVec3, Vec3};
 
 use crate::cloud::Cloud;
 use crate::error::{Error, Result};
@@ -85,6 +85,13 @@ impl Columns {
     /// The columns with the places of their fields in the file, to be filled.
     pub(crate) fn each(&mut self) -> impl Iterator<Item = (usize, Scalar, &mut Vec<f64>)> {
         self.0.iter_mut().flatten().map(|c| (c.field, c.scalar, &mut c.values))
+    }
+
+    /// The points alone, with all their digits.
+    pub(crate) fn into_points(self) -> Vec<DVec3> {
+        let [x, y, z, ..] = self.0.map(|column| column.map_or(Vec::new(), |c| c.values));
+        let rows = x.into_iter().zip(y).zip(z);
+        rows.map(|((x, y), z)| DVec3::new(x, y, z)).collect()
     }
 
     /// The cloud of the columns, all of which have been filled with as many values.

@@ -6,7 +6,7 @@ use crate::pandaset::frames;
 use crate::pickle::DataFrame;
 use crate::rgbd::image::{self, ImageSize};
 use crate::rgbd::{camera, seven_scenes, tum};
-use crate::{bin, calib, folder, kitti_raw, map_file, pcd, ply, poses, times};
+use crate::{bin, calib, folder, glb, kitti_raw, map_file, obj, pcd, ply, poses, times};
 
 const PATH: &str = "input";
 
@@ -27,6 +27,7 @@ pub fn map(bytes: &[u8]) {
 /// A PCD cloud.
 pub fn pcd(bytes: &[u8]) {
     let _ = pcd::parse(Path::new(PATH), bytes);
+    let _ = pcd::parse_points(Path::new(PATH), bytes);
 }
 
 /// A PLY cloud.
@@ -52,6 +53,23 @@ pub fn ply_mesh(bytes: &[u8]) {
         let read = ply::parse_mesh(Path::new(PATH), &written);
         assert!(read.is_ok_and(|read| read == mesh), "what is written is read");
     }
+}
+
+/// A mesh as OBJ.
+pub fn obj(bytes: &[u8]) {
+    let _ = obj::parse(Path::new(PATH), bytes);
+}
+
+/// A mesh as GLB, and as the document of one.
+pub fn glb(bytes: &[u8]) {
+    let _ = glb::parse(Path::new(PATH), bytes);
+    let mut file = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
+    for (kind, part) in [(b"JSON", bytes), (b"BIN\0", &[1; 64])] {
+        file.extend((part.len() as u32).to_le_bytes());
+        file.extend(kind);
+        file.extend(part);
+    }
+    let _ = glb::parse(Path::new(PATH), &file);
 }
 
 /// KITTI's point file.

@@ -1,4 +1,4 @@
-//! Binary glTF: what web viewers and modelling tools read.
+//! Binary glTF: what web viewers and modelling tools read; meshes are written and read.
 //!
 //! glTF has y up and positions in `f32`. So positions are relative to the middle of the mesh, rounded to whole metres,
 //! which becomes the translation of the mesh's node; the node above it turns z up into y up.
@@ -11,15 +11,21 @@ use tsdfuse::Mesh;
 use tsdfuse::glam::{DVec3, Vec3};
 
 use crate::error::Result;
-use crate::ply::{has_normals, in_chunks};
+use crate::ply::{has_normals, in_chunks, one_color_each};
 
-/// Bytes of a position, a normal and a triangle.
+mod read;
+
+pub use read::parse;
+
+/// Bytes of a position, a normal and a triangle; and of a colour.
 const TRIPLE: usize = 12;
+const COLOR: usize = 4;
 /// glTF's numbers for what a part of the buffer is and which type its entries have.
 const VERTICES: u32 = 34_962;
 const INDICES: u32 = 34_963;
 const F32: u32 = 5126;
 const U32: u32 = 5125;
+const U8: u32 = 5121;
 
 /// Writes a mesh to a file, which appears when it is complete.
 ///
@@ -33,12 +39,26 @@ pub fn write(path: impl AsRef<Path>, mesh: &Mesh) -> Result<()> {
 ///
 /// # Errors
 /// What the system says; `InvalidInput` if there are normals for some vertices only, or more than 4 GiB of data.
-pub fn write_to(mut out: impl Write, mesh: &Mesh) -> io::Result<()> {
+pub fn write_to(out: impl Write, mesh: &Mesh) -> io::Result<()> {
+    write_parts(out, mesh, &[])
+}
+
+/// As [`write_to`], with an sRGB colour of each vertex. glTF wants them linear, so that is how they are stored.
+///
+/// # Errors
+/// As [`write_to`]; `InvalidInput` also if there are not as many colours as vertices.
+pub fn write_colored_to(out: impl Write, mesh: &Mesh, colors: &[[u8; 3]]) -> io::Result<()> {
+    one_color_each(mesh, colors)?;
+    write_parts(out, mesh, colors)
+}
+
+/// Writes a mesh with colours or with none.
+fn write_parts(mut out: impl Write, mesh: &Mesh, colors: &[[u8; 3]]) -> io::Result<()> {
     has_normals(mesh)?;
     let place = Place::of(mesh);
-    let mut json = serde_json::to_vec(&document(mesh, &place))?;
+    let mut json = serde_json::to_vec(&document(mesh, colors.len(), &place))?;
     json.resize(json.len().next_multiple_of(4), b' ');
-    let binary = TRIPLE * (mesh.vertices.len() + mesh.normals.len() + mesh.triangles.len());
+    let binary = TRIPLE * (mesh.vertices.len() + mesh.normals.len() + mesh.triangles.len()) + COLOR * colors.len();
     let [total, json_length, binary_length] = [28 + json.len() + binary, json.len(), binary].map(|n| {
         u32::try_from(n).map_err(|_| Error::new(ErrorKind::InvalidInput, "the mesh exceeds the 4 GiB of GLB"))
     });
@@ -62,9 +82,23 @@ pub fn write_to(mut out: impl Write, mesh: &Mesh) -> io::Result<()> {
     in_chunks(&mut out, mesh.normals.len(), |i, bytes| {
         floats(mesh.normals[i], bytes);
     })?;
+    in_chunks(&mut out, colors.len(), |i, bytes| {
+        bytes.extend(colors[i].map(linear));
+        bytes.push(u8::MAX);
+    })?;
     in_chunks(&mut out, mesh.triangles.len(), |i, bytes| {
         mesh.triangles[i].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
     })
+}
+
+/// Linear light of an sRGB value (IEC 61966-2-1), both of 255.
+fn linear(srgb: u8) -> u8 {
+    let value = f32::from(srgb) / 255.0;
+    let light = match value <= 0.04045 {
+        true => value / 12.92,
+        false => ((value + 0.055) / 1.055).powf(2.4),
+    };
+    (light * 255.0).round() as u8
 }
 
 /// Where the mesh is.
@@ -95,7 +129,7 @@ impl Place {
 }
 
 /// The JSON part.
-fn document(mesh: &Mesh, place: &Place) -> Value {
+fn document(mesh: &Mesh, colors: usize, place: &Place) -> Value {
     let half = std::f64::consts::FRAC_1_SQRT_2;
     let mut nodes = vec![json!({ "name": "y up from z up", "rotation": [-half, 0.0, 0.0, half] })];
     let mut document = json!({
@@ -105,26 +139,34 @@ fn document(mesh: &Mesh, place: &Place) -> Value {
     });
     if !mesh.triangles.is_empty() {
         // glTF has no parts of zero bytes, so an empty mesh is none.
-        let counts = [mesh.vertices.len(), mesh.normals.len(), mesh.triangles.len()];
-        let (mut views, mut accessors, mut offset) = (Vec::new(), Vec::new(), 0);
-        for (count, target) in counts
-            .into_iter()
-            .zip([VERTICES, VERTICES, INDICES])
-            .filter(|(n, _)| *n > 0)
-        {
-            accessors.push(match target {
-                VERTICES => json!({ "bufferView": views.len(), "componentType": F32, "count": count, "type": "VEC3" }),
-                _ => json!({ "bufferView": views.len(), "componentType": U32, "count": 3 * count, "type": "SCALAR" }),
-            });
-            views.push(json!({ "buffer": 0, "byteOffset": offset, "byteLength": TRIPLE * count, "target": target }));
-            offset += TRIPLE * count;
+        let parts = [
+            ("POSITION", mesh.vertices.len(), TRIPLE),
+            ("NORMAL", mesh.normals.len(), TRIPLE),
+            ("COLOR_0", colors, COLOR),
+            ("", mesh.triangles.len(), TRIPLE),
+        ];
+        let (mut views, mut accessors, mut attributes, mut offset) = (Vec::new(), Vec::new(), json!({}), 0);
+        for (name, count, size) in parts.into_iter().filter(|(_, count, _)| *count > 0) {
+            let view = views.len();
+            let of = |component, count, kind| json!({ "bufferView": view, "componentType": component, "count": count, "type": kind });
+            let mut accessor = match (name, size) {
+                ("", _) => of(U32, 3 * count, "SCALAR"),
+                (_, TRIPLE) => of(F32, count, "VEC3"),
+                _ => of(U8, count, "VEC4"),
+            };
+            if size == COLOR {
+                accessor["normalized"] = json!(true);
+            }
+            let target = if name.is_empty() { INDICES } else { VERTICES };
+            if !name.is_empty() {
+                attributes[name] = json!(view);
+            }
+            accessors.push(accessor);
+            views.push(json!({ "buffer": 0, "byteOffset": offset, "byteLength": size * count, "target": target }));
+            offset += size * count;
         }
         accessors[0]["min"] = json!(place.min.to_array());
         accessors[0]["max"] = json!(place.max.to_array());
-        let attributes = match mesh.normals.len() {
-            0 => json!({ "POSITION": 0 }),
-            _ => json!({ "POSITION": 0, "NORMAL": 1 }),
-        };
         let primitive = json!({ "attributes": attributes, "indices": accessors.len() - 1, "material": 0 });
         nodes[0]["children"] = json!([1]);
         nodes.push(json!({ "name": "tsdfuse", "mesh": 0, "translation": place.middle.to_array() }));
@@ -132,9 +174,11 @@ fn document(mesh: &Mesh, place: &Place) -> Value {
         document["bufferViews"] = json!(views);
         document["accessors"] = json!(accessors);
         document["meshes"] = json!([{ "primitives": [primitive] }]);
+        let gray = if colors > 0 { 1.0 } else { 0.8 };
         document["materials"] = json!([{
             "doubleSided": true,
-            "pbrMetallicRoughness": { "baseColorFactor": [0.8, 0.8, 0.8, 1.0], "metallicFactor": 0.0 },
+            // Colours of the vertices are multiplied by this one.
+            "pbrMetallicRoughness": { "baseColorFactor": [gray, gray, gray, 1.0], "metallicFactor": 0.0 },
         }]);
     }
     document["nodes"] = json!(nodes);

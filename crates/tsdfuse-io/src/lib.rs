@@ -1,7 +1,7 @@
 //! Readers of LiDAR logs and depth images, and writers of meshes and pictures.
 //!
 //! [`open`] recognises what lies at a path and gives a [`Dataset`]: scans with poses, read ahead in the background.
-//! [`mesh::write`] and [`png::write`] write what was made of them.
+//! [`mesh::write`] and [`png::write`] write what was made of them; [`geometry::read`] reads a mesh or a cloud.
 
 pub mod atomic;
 mod bin;
@@ -15,6 +15,7 @@ mod files;
 pub mod folder;
 #[doc(hidden)]
 pub mod fuzzing;
+pub mod geometry;
 pub mod glb;
 pub mod kitti;
 pub mod kitti_raw;

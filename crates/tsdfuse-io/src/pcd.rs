@@ -5,6 +5,8 @@
 
 use std::path::Path;
 
+use tsdfuse::glam::DVec3;
+
 use crate::cloud::Cloud;
 use crate::columns::Columns;
 use crate::error::{Error, Result};
@@ -21,11 +23,25 @@ pub(crate) use header::Header;
 /// Names the file and what its header promises but its bytes do not keep.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
     let header = Header::parse(path, bytes)?;
+    let mut cloud = columns(path, bytes, &header)?.into_cloud(path)?;
+    cloud.viewpoint = header.viewpoint;
+    Ok(cloud)
+}
+
+/// Parses the points of a PCD file alone, with all their digits.
+///
+/// # Errors
+/// As [`parse`].
+pub(crate) fn parse_points(path: &Path, bytes: &[u8]) -> Result<Vec<DVec3>> {
+    Ok(columns(path, bytes, &Header::parse(path, bytes)?)?.into_points())
+}
+
+fn columns(path: &Path, bytes: &[u8], header: &Header) -> Result<Columns> {
     let body = bytes.get(header.bytes..).unwrap_or_default();
     let names: Vec<_> = header.fields.iter().map(|f| (f.name.as_str(), f.scalar)).collect();
     let mut columns = Columns::pick(path, &names)?;
     match header.encoding {
-        Encoding::Ascii => ascii(path, &header, body, &mut columns)?,
+        Encoding::Ascii => ascii(path, header, body, &mut columns)?,
         Encoding::Binary => {
             let stride = header.stride;
             let wanted = header.points.checked_mul(stride);
@@ -47,7 +63,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
             }
         }
         Encoding::Compressed => {
-            let body = decompress(path, &header, body)?;
+            let body = decompress(path, header, body)?;
             for (field, scalar, values) in columns.each() {
                 // Field after field, each for all points. Only the first of a field's numbers counts.
                 let field = &header.fields[field];
@@ -57,9 +73,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
             }
         }
     }
-    let mut cloud = columns.into_cloud(path)?;
-    cloud.viewpoint = header.viewpoint;
-    Ok(cloud)
+    Ok(columns)
 }
 
 fn ascii(path: &Path, header: &Header, body: &[u8], columns: &mut Columns) -> Result<()> {

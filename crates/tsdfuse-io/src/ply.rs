@@ -12,8 +12,8 @@ mod write;
 
 pub use cloud::parse as parse_cloud;
 pub use mesh::{parse as parse_mesh, read as read_mesh};
-pub(crate) use write::{has_normals, in_chunks};
-pub use write::{write, write_to};
+pub(crate) use write::{has_normals, in_chunks, one_color_each};
+pub use write::{write, write_colored_to, write_to};
 
 #[cfg(test)]
 mod tests;

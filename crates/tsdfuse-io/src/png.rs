@@ -30,6 +30,16 @@ pub fn check(path: impl AsRef<Path>) -> Result<()> {
     }
 }
 
+/// A picture as the bytes of a PNG file.
+///
+/// # Errors
+/// If it has more pixels in a row than PNG can count, or other pixels than its size says.
+pub fn encode(image: &Image) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    write_to(&mut bytes, image).map_err(Error::io("a picture"))?;
+    Ok(bytes)
+}
+
 fn write_to(out: impl Write, image: &Image) -> io::Result<()> {
     let edge = |n: usize| u32::try_from(n).map_err(|_| io::Error::other("more pixels in a row than PNG can count"));
     let mut encoder = Encoder::new(out, edge(image.width)?, edge(image.height)?);
@@ -84,6 +94,7 @@ mod tests {
                 pixels,
             };
             write(&path, &image).unwrap();
+            assert_eq!(encode(&image).unwrap(), std::fs::read(&path).unwrap());
             let file = io::BufReader::new(std::fs::File::open(&path).unwrap());
             let mut reader = png::Decoder::new(file).read_info().unwrap();
             let mut read = vec![0; reader.output_buffer_size().unwrap()];

@@ -1,6 +1,6 @@
 //! One sweep of a sensor: returns in the sensor frame, and where the sensor was.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use crate::pose::{Interpolation, Pose};
@@ -218,6 +218,24 @@ impl Scan {
         self.rings.iter_mut().for_each(|c| filter(c, keep));
         self.times.iter_mut().for_each(|c| filter(c, keep));
         self.intensities.iter_mut().for_each(|c| filter(c, keep));
+    }
+
+    /// `world_from_sensor` at the moment of each return.
+    pub fn poses(&self) -> impl Iterator<Item = Pose> {
+        let trajectory = self.trajectory();
+        (0..self.points.len()).map(move |i| {
+            let secs = self.times.as_ref().and_then(|times| times.get(i));
+            match (&trajectory, secs) {
+                (Some(trajectory), Some(&secs)) => trajectory.at(f64::from(secs)),
+                _ => self.pose,
+            }
+        })
+    }
+
+    /// All points in the world, each placed from where the sensor was when it measured it.
+    pub fn points_in_world(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let placed = self.poses().zip(&self.points);
+        placed.map(|(pose, point)| pose.transform_point(point.as_dvec3()))
     }
 
     /// The sensor's motion as a function of seconds after `pose`; `None` where all returns are placed from `pose`.

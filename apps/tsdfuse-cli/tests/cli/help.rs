@@ -9,10 +9,12 @@ fn help_texts_are_as_agreed() {
     for (name, arguments) in [
         ("tsdfuse", &["--help"][..]),
         ("fuse", &["fuse", "--help"]),
+        ("evaluate", &["evaluate", "--help"]),
         ("mesh", &["mesh", "--help"]),
         ("render", &["render", "--help"]),
         ("simulate", &["simulate", "--help"]),
         ("info", &["info", "--help"]),
+        ("eval", &["eval", "--help"]),
     ] {
         let text = String::from_utf8(tsdfuse(arguments).succeeded().stdout).unwrap();
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/cli/help/{name}.txt"));

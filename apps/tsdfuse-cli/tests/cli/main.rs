@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used)] // the setting for tests does not reach their helpers
 
 mod bad_input;
+mod eval;
+mod evaluate;
 mod fuse;
 mod help;
 mod info;

@@ -40,6 +40,7 @@ fn a_sequence_is_complete_and_repeatable() {
     }
     let (a, b) = (folder.path("a"), folder.path("b"));
     let wanted = [
+        "hits.ply",
         "motion.txt",
         "poses.txt",
         "rings/000000.u16",
@@ -63,6 +64,10 @@ fn a_sequence_is_complete_and_repeatable() {
         );
     }
     assert_eq!(ply::read(&a.join("scene.ply")).1, 12);
+    // On the box, though the returns are noisy and the sensor moved.
+    let (hits, _) = ply::read(&a.join("hits.ply"));
+    let scene = tsdfuse_sim::scene::by_name("box", 7).unwrap();
+    assert!(hits.len() > 500 && hits.iter().all(|p| scene.signed_distance(*p).abs() < 1e-5));
     assert!(
         fs::read_to_string(a.join("simulation.toml"))
             .unwrap()

@@ -30,7 +30,20 @@ pub fn write(path: impl AsRef<Path>, mesh: &Mesh) -> Result<()> {
 ///
 /// # Errors
 /// What the system says; `InvalidInput` if there are normals for some vertices only.
-pub fn write_to(mut out: impl Write, mesh: &Mesh) -> io::Result<()> {
+pub fn write_to(out: impl Write, mesh: &Mesh) -> io::Result<()> {
+    write_parts(out, mesh, None)
+}
+
+/// As [`write_to`], with `red green blue` of each vertex.
+///
+/// # Errors
+/// As [`write_to`]; `InvalidInput` also if there are not as many colours as vertices.
+pub fn write_colored_to(out: impl Write, mesh: &Mesh, colors: &[[u8; 3]]) -> io::Result<()> {
+    one_color_each(mesh, colors)?;
+    write_parts(out, mesh, Some(colors))
+}
+
+fn write_parts(mut out: impl Write, mesh: &Mesh, colors: Option<&[[u8; 3]]>) -> io::Result<()> {
     let double = mesh.vertices.iter().any(|v| v.abs().max_element() >= FLOAT_LIMIT_M);
     let coordinate = if double { "double" } else { "float" };
     let normals = has_normals(mesh)?;
@@ -41,6 +54,9 @@ pub fn write_to(mut out: impl Write, mesh: &Mesh) -> io::Result<()> {
     }
     for axis in ["nx", "ny", "nz"].iter().filter(|_| normals) {
         writeln!(out, "property float {axis}")?;
+    }
+    for channel in ["red", "green", "blue"].iter().filter(|_| colors.is_some()) {
+        writeln!(out, "property uchar {channel}")?;
     }
     writeln!(out, "element face {}", mesh.triangles.len())?;
     write!(out, "property list uchar int vertex_indices\nend_header\n")?;
@@ -63,6 +79,7 @@ pub fn write_to(mut out: impl Write, mesh: &Mesh) -> io::Result<()> {
                 .iter()
                 .for_each(|c| bytes.extend_from_slice(&c.to_le_bytes()));
         }
+        bytes.extend(colors.iter().flat_map(|colors| colors[i]));
     })?;
     in_chunks(&mut out, mesh.triangles.len(), |i, bytes| {
         bytes.push(3);
@@ -80,6 +97,18 @@ pub(crate) fn has_normals(mesh: &Mesh) -> io::Result<bool> {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, reason));
     }
     Ok(normals > 0)
+}
+
+/// Refuses colours for some vertices only.
+pub(crate) fn one_color_each(mesh: &Mesh, colors: &[[u8; 3]]) -> io::Result<()> {
+    let (vertices, colors) = (mesh.vertices.len(), colors.len());
+    match vertices == colors {
+        true => Ok(()),
+        false => {
+            let reason = format!("the mesh has {vertices} vertices but {colors} colours");
+            Err(io::Error::new(io::ErrorKind::InvalidInput, reason))
+        }
+    }
 }
 
 /// Lets `item` append items `0..count` to a buffer, which is written out whenever it is large.
@@ -144,6 +173,23 @@ mod tests {
             write_to(std::io::sink(), &mesh).unwrap_err().kind(),
             io::ErrorKind::InvalidInput
         );
+    }
+
+    #[test]
+    fn colors_follow_the_normals_and_are_for_all_vertices() {
+        let mesh = triangle(1.0);
+        let mut bytes = Vec::new();
+        write_colored_to(&mut bytes, &mesh, &[[1, 2, 3], [4, 5, 6], [7, 8, 9]]).unwrap();
+        let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        let header = std::str::from_utf8(&bytes[..end]).unwrap();
+        assert!(header.contains(
+            "property float nz\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face"
+        ));
+        assert_eq!(bytes[end + 24..end + 27], [1, 2, 3]);
+        assert_eq!(bytes[end + 78..end + 81], [7, 8, 9]);
+        assert_eq!(bytes.len(), end + 3 * 27 + 13);
+        let refused = write_colored_to(std::io::sink(), &mesh, &[[0; 3]]).unwrap_err();
+        assert_eq!(refused.to_string(), "the mesh has 3 vertices but 1 colours");
     }
 
     #[test]

@@ -24,6 +24,7 @@
 //! only seen from the inside are transparent from the outside, so that one can look into a room from above.
 
 mod camera;
+mod cast;
 mod cell;
 mod field;
 mod image;
@@ -42,6 +43,7 @@ use crate::sensor::{PinholeError, SensorError};
 use crate::{Pose, VoxelMap};
 
 pub use camera::Camera;
+pub use cast::Ray;
 pub use image::{DEPTH_PER_M, Image, ImageKind, Pixels, WEIGHT_RANGE};
 pub use orbit::{overview, turntable};
 pub use renderer::Renderer;

@@ -15,9 +15,9 @@ const TILE: [usize; 2] = [4, 8];
 /// A map, prepared for any number of views.
 #[derive(Debug)]
 pub struct Renderer<'a> {
-    map: &'a VoxelMap,
-    config: RenderConfig,
-    field: Field<'a>,
+    pub(super) map: &'a VoxelMap,
+    pub(super) config: RenderConfig,
+    pub(super) field: Field<'a>,
 }
 
 impl<'a> Renderer<'a> {

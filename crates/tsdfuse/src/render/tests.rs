@@ -303,6 +303,63 @@ fn weights_and_ranges_limit_what_is_seen() {
     );
 }
 
+/// The rays of a LiDAR's view, one by one; the turned ones begin elsewhere.
+#[test]
+fn single_rays_meet_what_a_camera_there_sees() {
+    let map = waves(IVec3::ZERO, 200);
+    let renderer = Renderer::new(&map, &RenderConfig::default()).unwrap();
+    let Camera::Lidar(model) = lidar() else { unreachable!() };
+    let poses = [DVec3::new(0.05, 0.1, 0.02), DVec3::new(-1.7, 0.2, -0.3)].map(|from| looking(from, DVec3::ZERO));
+    let mut rays = Vec::new();
+    let mut wanted = Vec::new();
+    for pose in poses {
+        wanted.extend(renderer.view(&lidar(), pose).unwrap().hits);
+        let rows = (0..model.rings()).flat_map(|row| (0..model.columns as usize).map(move |column| (column, row)));
+        rays.extend(rows.map(|(column, row)| Ray {
+            origin: pose.translation,
+            direction: pose.rotation * lidar().rays().of(column, row).0 * 3.0,
+            length_m: f64::from(model.max_range_m),
+        }));
+    }
+    let differ = |rays: &[Ray]| {
+        let same = |(a, b): (Option<Hit>, Option<Hit>)| match (a, b) {
+            (Some(a), Some(b)) => (a.range_m - b.range_m).abs() < 1e-5,
+            (a, b) => a == b,
+        };
+        let pairs = renderer.cast(rays).into_iter().zip(wanted.iter().copied());
+        pairs.filter(|pair| !same(*pair)).count()
+    };
+    assert!(wanted.iter().flatten().count() > 1000);
+    // A tile begins where its widest ray may meet something: a ray through a corner of a cell may round otherwise.
+    assert!(differ(&rays) <= 2, "{}", differ(&rays));
+    // Disturbed: from 10 cm aside.
+    rays.iter_mut().for_each(|ray| ray.origin.y += 0.1);
+    assert!(differ(&rays) > 1000, "{}", differ(&rays));
+}
+
+#[test]
+fn a_ray_sees_no_farther_than_it_goes_and_only_where_it_is_a_ray() {
+    let map = ball(IVec3::ZERO);
+    let renderer = Renderer::new(&map, &RenderConfig::default()).unwrap();
+    let ray = |origin, direction, length_m| Ray {
+        origin,
+        direction,
+        length_m,
+    };
+    let start = -DVec3::X;
+    let met = renderer.cast(&[
+        ray(start, DVec3::X, 0.25),
+        ray(start, DVec3::X, 0.15),
+        ray(start, DVec3::ZERO, 1.0),
+        ray(start, DVec3::X, f64::NAN),
+        ray(DVec3::NAN, DVec3::X, 1.0),
+        ray(DVec3::splat(1e12), DVec3::X, 1.0),
+        ray(start, DVec3::X * f64::NAN, 1.0),
+    ]);
+    assert!((met[0].unwrap().range_m - 0.2).abs() < 1e-3);
+    assert_eq!(met[1..], [None; 6]);
+}
+
 #[test]
 fn cameras_and_poses_without_sense_are_refused() {
     let map = ball(IVec3::ZERO);

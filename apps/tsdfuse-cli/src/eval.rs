@@ -1,0 +1,216 @@
+//! `tsdfuse eval`: how good a mesh is.
+
+mod reference;
+mod table;
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use clap::builder::PossibleValuesParser;
+use glam::DVec3;
+use serde::Serialize;
+use tsdfuse::Mesh;
+use tsdfuse_eval::{Comparison, Protocol, Reference, color, compare};
+use tsdfuse_io::OpenOptions;
+
+use crate::exit::{Outcome, Usage};
+use crate::output;
+use crate::progress::{self, note, say};
+use crate::report::{peak_memory_bytes, print, print_json};
+pub(crate) use reference::{read_points, read_reference};
+
+const EXAMPLES: &str = "\
+Examples:
+  tsdfuse eval street.ply --reference street
+  tsdfuse eval street.ply --reference pandaset/002 --protocol thesis --every 10
+  tsdfuse eval street.ply --reference street/scene.ply --observed street/hits.ply
+  tsdfuse eval street.ply --reference survey.pcd --crop=-20,-20,-3,20,20,10 --colored errors.glb
+
+What each figure and protocol means is written in docs/evaluation.md.";
+
+/// Measure a mesh against a cloud, a mesh or all scans of a data set.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Args {
+    /// The mesh, .ply, .obj or .glb.
+    mesh: PathBuf,
+    /// What it is compared with: a cloud (.ply, .pcd), a mesh (.ply, .obj, .glb), or a data set, all of whose points count.
+    #[arg(long, value_name = "FILE|DATASET")]
+    reference: PathBuf,
+    /// Take each N-th scan of the data set.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+    /// The data set's sensor: one of several in the log.
+    #[arg(long, value_name = "NAME")]
+    sensor: Option<String>,
+    /// Ask for completeness only at the points of this cloud: what a sensor saw of the reference.
+    #[arg(long, value_name = "FILE")]
+    observed: Option<PathBuf>,
+    /// By which rules.
+    #[arg(long, value_name = "NAME", default_value = "surface", value_parser = PossibleValuesParser::new(Protocol::NAMES))]
+    protocol: String,
+    /// At which distances precision, completeness and F-score are taken, metres [default: the protocol's].
+    #[arg(long, value_name = "M,M", value_delimiter = ',')]
+    thresholds: Vec<f64>,
+    /// Compare only what lies in this box: two corners, metres.
+    #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
+    crop: Option<Crop>,
+    /// How many points of the mesh are measured [default: the protocol's].
+    #[arg(long, value_name = "N")]
+    samples: Option<usize>,
+    /// Write the mesh in the colours of its distances, .ply or .glb: dark blue at 0, yellow from --max-error on.
+    #[arg(long, value_name = "FILE")]
+    colored: Option<PathBuf>,
+    /// The distance of the last colour, metres [default: the largest threshold].
+    #[arg(long, value_name = "M", requires = "colored")]
+    max_error: Option<f64>,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Two corners of a box.
+#[derive(Clone, Copy, Debug)]
+struct Crop([DVec3; 2]);
+
+impl FromStr for Crop {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Result<Vec<f64>, _> = text.split(',').map(str::parse).collect();
+        match numbers.as_deref() {
+            Ok(&[a, b, c, d, e, f]) => {
+                let [a, b] = [DVec3::new(a, b, c), DVec3::new(d, e, f)];
+                Ok(Self([a.min(b), a.max(b)]))
+            }
+            _ => Err("six numbers are wanted, as in -20,-20,-3,20,20,10".to_owned()),
+        }
+    }
+}
+
+/// What was measured, and on what.
+#[derive(Debug, Serialize)]
+struct Report<'a> {
+    /// The program's version.
+    version: &'static str,
+    mesh: &'a Path,
+    reference: &'a Path,
+    observed: Option<&'a Path>,
+    /// Each so many-th scan of a data set was taken.
+    every: u32,
+    #[serde(flatten)]
+    comparison: &'a Comparison,
+    colored: Option<Colored<'a>>,
+    /// Comparing, without reading.
+    seconds: f64,
+    /// The most memory that the process held, where the system tells.
+    peak_memory_bytes: Option<u64>,
+}
+
+/// The coloured mesh.
+#[derive(Debug, Serialize)]
+struct Colored<'a> {
+    path: &'a Path,
+    /// The distance of the last colour.
+    max_error_m: f64,
+}
+
+pub(crate) fn run(args: &Args) -> Result<Outcome> {
+    let protocol = args.protocol()?;
+    let colored = args.colored(&protocol)?;
+    let mesh = tsdfuse_io::mesh::read(&args.mesh)?;
+    let options = OpenOptions {
+        sensor: args.sensor.clone(),
+        ..Default::default()
+    };
+    let mut reference = read_reference(&args.reference, args.every as usize, &options)?;
+    if let Some(path) = &args.observed {
+        let named = |error| anyhow::Error::new(error).context(path.display().to_string());
+        reference = reference.with_observed(read_points(path)?).map_err(named)?;
+    }
+    let start = Instant::now();
+    let spinner = progress::working("measuring");
+    let comparison = compare(&mesh, &reference, &protocol).with_context(|| args.mesh.display().to_string())?;
+    let seconds = start.elapsed().as_secs_f64();
+    comparison
+        .warnings
+        .iter()
+        .for_each(|warning| say(format_args!("tsdfuse: warning: {warning}")));
+    if let Some(Colored { path, max_error_m }) = &colored {
+        tsdfuse_io::mesh::write_colored(path, &mesh, &colors(&mesh, &reference, *max_error_m))?;
+    }
+    drop(spinner);
+    if args.json {
+        print_json(&Report {
+            version: env!("CARGO_PKG_VERSION"),
+            mesh: &args.mesh,
+            reference: &args.reference,
+            observed: args.observed.as_deref(),
+            every: args.every,
+            comparison: &comparison,
+            colored,
+            seconds,
+            peak_memory_bytes: peak_memory_bytes(),
+        })?;
+    } else {
+        print(&table::of(&args.mesh, &args.reference, &comparison))?;
+        if let Some(Colored { path, max_error_m }) = &colored {
+            note(format_args!(
+                "{}: dark blue at 0, yellow from {max_error_m} m on",
+                path.display()
+            ));
+        }
+    }
+    Ok(Outcome::Complete)
+}
+
+impl Args {
+    fn protocol(&self) -> Result<Protocol> {
+        let mut protocol = Protocol::by_name(&self.protocol).unwrap_or_else(Protocol::surface);
+        if !self.thresholds.is_empty() {
+            protocol.thresholds_m.clone_from(&self.thresholds);
+        }
+        protocol.samples = self.samples.unwrap_or(protocol.samples);
+        protocol.crop = self.crop.map(|crop| crop.0);
+        protocol.check().map_err(Usage::new)?;
+        Ok(protocol)
+    }
+
+    /// Where the coloured mesh is to go, and its scale.
+    fn colored(&self, protocol: &Protocol) -> Result<Option<Colored<'_>>> {
+        let Some(path) = &self.colored else { return Ok(None) };
+        tsdfuse_io::mesh::check_colored(path).map_err(Usage::new)?;
+        output::check_file(path)?;
+        let largest = protocol.thresholds_m.iter().copied().fold(0.0, f64::max);
+        let max_error_m = self.max_error.unwrap_or(largest);
+        match max_error_m > 0.0 && max_error_m.is_finite() {
+            true => Ok(Some(Colored { path, max_error_m })),
+            false => Err(Usage::new(format_args!("--max-error must be more than 0, not {max_error_m}")).into()),
+        }
+    }
+}
+
+/// The colour of each vertex's distance to the reference.
+fn colors(mesh: &Mesh, reference: &Reference, max_error_m: f64) -> Vec<[u8; 3]> {
+    let distances = reference.distances(&mesh.vertices);
+    distances
+        .into_iter()
+        .map(|distance| color::of_distance(distance, max_error_m))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_of_a_crop_come_in_any_order() {
+        let Crop([low, high]) = "1,-2,3,-1,2,4".parse().unwrap();
+        assert_eq!((low, high), (DVec3::new(-1.0, -2.0, 3.0), DVec3::new(1.0, 2.0, 4.0)));
+        for bad in ["", "1,2,3", "1,2,3,4,5,x", "1,2,3,4,5,6,7"] {
+            assert!(bad.parse::<Crop>().is_err(), "{bad}");
+        }
+    }
+}

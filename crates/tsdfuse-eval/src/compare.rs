@@ -1,0 +1,347 @@
+//! Comparing a mesh with a reference.
+
+use rayon::prelude::*;
+use serde::Serialize;
+use tsdfuse::Mesh;
+use tsdfuse::glam::DVec3;
+
+use crate::dense::Density;
+use crate::error::{EvalError, Result};
+use crate::plausible;
+use crate::protocol::{Limit, Protocol, Sampling, ToMesh};
+use crate::reference::{Bounds, CloudTree, Reference, TriangleTree, sound};
+use crate::sample;
+use crate::stats::{Histogram, Stats, share_within};
+use crate::voxels::down_sample;
+
+/// Bins of [`Direction::histogram`], and their width, metres: 0 to 50 cm.
+const BINS: (usize, f64) = (250, 0.002);
+
+/// What comparing a mesh with a reference came to.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// By which rules.
+    pub protocol: Protocol,
+    /// What was compared.
+    pub inputs: Inputs,
+    /// In all places.
+    pub all: Measures,
+    /// Where the reference is dense by the protocol's rule. `None` for a mesh as reference, which is dense everywhere, and
+    /// where nothing is dense.
+    pub dense: Option<Dense>,
+    /// What casts doubt on the figures, one sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// What was compared.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Inputs {
+    /// Triangles of the mesh.
+    pub triangles: usize,
+    /// Area of the mesh, m².
+    pub area_m2: f64,
+    /// The box around the mesh.
+    pub mesh_bounds: Bounds,
+    /// `cloud` or `mesh`.
+    pub reference: &'static str,
+    /// Points of the reference that completeness is asked for, before voxels thin them out.
+    pub reference_points: usize,
+    /// The box around the reference.
+    pub reference_bounds: Bounds,
+}
+
+/// The figures of a region.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Measures {
+    /// From samples of the mesh to the reference: accuracy.
+    pub mesh_to_reference: Direction,
+    /// From points of the reference to the mesh: completeness.
+    pub reference_to_mesh: Direction,
+    /// Half the sum of both averages, metres.
+    pub chamfer_l1_m: f64,
+    /// Root of half the sum of both mean squares, metres.
+    pub chamfer_l2_m: f64,
+    /// At each of the protocol's thresholds.
+    pub thresholds: Vec<AtThreshold>,
+}
+
+/// The distances of one direction.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Direction {
+    /// Of the distances that count.
+    #[serde(flatten)]
+    pub stats: Stats,
+    /// Distances that the protocol's limit left out.
+    pub left_out: usize,
+    /// Distances that the protocol's limit shortened.
+    pub clamped: usize,
+    /// Of the distances that count.
+    pub histogram: Histogram,
+}
+
+/// Shares within a threshold, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct AtThreshold {
+    /// The threshold: a distance of exactly so much is within it.
+    pub threshold_m: f64,
+    /// Samples of the mesh within it of the reference.
+    pub precision: f64,
+    /// Points of the reference within it of the mesh: recall.
+    pub completeness: f64,
+    /// Harmonic mean of both.
+    pub f_score: f64,
+}
+
+/// The densely observed places.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Dense {
+    /// The share of the mesh's samples that lie there.
+    pub share_of_mesh: f64,
+    /// The share of the reference's points.
+    pub share_of_reference: f64,
+    /// The figures there.
+    #[serde(flatten)]
+    pub measures: Measures,
+}
+
+/// Compares a mesh with a reference.
+///
+/// # Errors
+/// If the protocol, the mesh or what is left of one of them cannot be measured: see [`EvalError`].
+pub fn compare(mesh: &Mesh, reference: &Reference, protocol: &Protocol) -> Result<Comparison> {
+    protocol.check()?;
+    let (mesh, broken) = sound("mesh", mesh.clone())?;
+    let parts = Parts::new(&mesh, reference, protocol)?;
+    let samples = parts.samples()?;
+    let points = parts.reference_points()?;
+    let inputs = Inputs {
+        triangles: mesh.triangles.len(),
+        area_m2: sample::area_m2(&mesh),
+        mesh_bounds: parts.mesh_bounds,
+        reference: reference.kind(),
+        reference_points: points.len(),
+        reference_bounds: reference.bounds(),
+    };
+    // A mesh is dense everywhere; a cloud where its points are, before voxels thin them out.
+    let density = (reference.kind() == "cloud").then(|| Density::of(&points, protocol.dense));
+    let (samples, points, to_reference) = match protocol.voxel_m {
+        None => {
+            let to_reference = reference.distances(&samples);
+            (samples, points, to_reference)
+        }
+        Some(voxel_m) => {
+            let [samples, points] = [samples, points].map(|points| down_sample(&points, voxel_m));
+            let to_reference = CloudTree::new(&points).distances(&samples);
+            (samples, points, to_reference)
+        }
+    };
+    let to_mesh = match protocol.to_mesh {
+        ToMesh::Surface => TriangleTree::new(&mesh).distances(&points),
+        ToMesh::Samples => CloudTree::new(&samples).distances(&points),
+    };
+    let all = Measures::of(&to_reference, &to_mesh, protocol)?;
+    let mut warnings = plausible::warnings(&inputs, &all, protocol);
+    warnings.extend(counted(broken, "triangles of the mesh"));
+    warnings.extend(counted(
+        reference.left_out(),
+        &format!("parts of the reference {}", reference.kind()),
+    ));
+    let dense = density.as_ref().and_then(|density| {
+        let [samples, points] = [(&samples, &to_reference), (&points, &to_mesh)];
+        dense(density, samples, points, protocol)
+    });
+    if density.is_some() && dense.is_none() {
+        let rule = protocol.dense;
+        warnings.push(format!(
+            "no part of both is densely observed: nowhere there do 3 × 3 × 3 cubes of {} m hold {} reference points",
+            rule.cube_m, rule.points
+        ));
+    }
+    Ok(Comparison {
+        protocol: protocol.clone(),
+        inputs,
+        all,
+        dense,
+        warnings,
+    })
+}
+
+/// A warning about parts that are not finite.
+fn counted(count: usize, what: &str) -> Option<String> {
+    (count > 0).then(|| format!("{count} {what} are not finite or absurdly far away; they are left out"))
+}
+
+/// What goes into a comparison, and the boxes that bound it.
+struct Parts<'a> {
+    mesh: &'a Mesh,
+    mesh_bounds: Bounds,
+    reference: &'a Reference,
+    protocol: &'a Protocol,
+    crop: Option<Bounds>,
+}
+
+impl<'a> Parts<'a> {
+    fn new(mesh: &'a Mesh, reference: &'a Reference, protocol: &'a Protocol) -> Result<Self> {
+        let used: Vec<DVec3> = mesh
+            .triangles
+            .iter()
+            .flatten()
+            .map(|&v| mesh.vertices[v as usize])
+            .collect();
+        Ok(Self {
+            mesh,
+            mesh_bounds: Bounds::of(&used).ok_or(EvalError::NoTriangles("mesh"))?,
+            reference,
+            protocol,
+            crop: protocol.crop.map(|[min, max]| Bounds { min, max }),
+        })
+    }
+
+    /// The mesh as points.
+    fn samples(&self) -> Result<Vec<DVec3>> {
+        let mut mesh = None;
+        let mut restrict = |keep: &dyn Fn([DVec3; 3]) -> bool, within: String| {
+            let part = mesh.get_or_insert_with(|| self.mesh.clone());
+            let vertices = &part.vertices;
+            part.triangles.retain(|t| keep(t.map(|v| vertices[v as usize])));
+            match sample::area_m2(part) > 0.0 {
+                true => Ok(()),
+                false => Err(EvalError::NothingWithin { of: "mesh", within }),
+            }
+        };
+        if self.protocol.within_reference_box {
+            let mut bounds = self.reference.bounds();
+            // As the papers' scripts: upwards and downwards only.
+            let margin = DVec3::Z * self.protocol.voxel_m.unwrap_or(0.0);
+            bounds.min -= margin;
+            bounds.max += margin;
+            let keep = |t: [DVec3; 3]| t.iter().all(|&corner| bounds.contains(corner));
+            restrict(&keep, format!("the reference's box, {} to {}", bounds.min, bounds.max))?;
+        }
+        if let Some(crop) = &self.crop {
+            let touches = |t: [DVec3; 3]| Bounds::of(&t).is_some_and(|bounds| bounds.gap_m(crop) == 0.0);
+            restrict(&touches, within(crop))?;
+        }
+        let samples = take_samples(mesh.as_ref().unwrap_or(self.mesh), self.protocol);
+        self.cropped("mesh", samples)
+    }
+
+    /// The points of the reference that the mesh should come close to.
+    fn reference_points(&self) -> Result<Vec<DVec3>> {
+        let points = match (self.reference.points(), self.reference.as_mesh()) {
+            (None, Some(mesh)) => take_samples(mesh, self.protocol),
+            (points, _) => points.unwrap_or_default().to_vec(),
+        };
+        self.cropped("reference", points)
+    }
+
+    fn cropped(&self, of: &'static str, mut points: Vec<DVec3>) -> Result<Vec<DVec3>> {
+        if let Some(crop) = &self.crop {
+            points.retain(|&p| crop.contains(p));
+            if points.is_empty() {
+                let within = within(crop);
+                return Err(EvalError::NothingWithin { of, within });
+            }
+        }
+        Ok(points)
+    }
+}
+
+fn within(crop: &Bounds) -> String {
+    format!("the crop, {} to {}", crop.min, crop.max)
+}
+
+fn take_samples(mesh: &Mesh, protocol: &Protocol) -> Vec<DVec3> {
+    match protocol.sampling {
+        Sampling::Uniform => sample::uniform(mesh, protocol.samples),
+        Sampling::PoissonDisk => sample::poisson_disk(mesh, protocol.samples),
+    }
+}
+
+/// The figures where the reference is dense, if it is anywhere; from places and their distances.
+fn dense(
+    density: &Density,
+    samples: (&Vec<DVec3>, &Vec<f64>),
+    points: (&Vec<DVec3>, &Vec<f64>),
+    protocol: &Protocol,
+) -> Option<Dense> {
+    let [there, back] = [samples, points].map(|(places, distances)| -> Vec<f64> {
+        let dense = density.dense(places);
+        distances
+            .iter()
+            .zip(dense)
+            .filter_map(|(&d, dense)| dense.then_some(d))
+            .collect()
+    });
+    Some(Dense {
+        share_of_mesh: there.len() as f64 / samples.0.len() as f64,
+        share_of_reference: back.len() as f64 / points.0.len() as f64,
+        measures: Measures::of(&there, &back, protocol).ok()?,
+    })
+}
+
+impl Measures {
+    fn of(to_reference: &[f64], to_mesh: &[f64], protocol: &Protocol) -> Result<Self> {
+        let (there, mesh_to_reference) =
+            Direction::of(to_reference, protocol.accuracy_limit, "the mesh to the reference")?;
+        let (back, reference_to_mesh) =
+            Direction::of(to_mesh, protocol.completeness_limit, "the reference to the mesh")?;
+        let [a, b] = [mesh_to_reference.stats, reference_to_mesh.stats];
+        let at = |&threshold_m: &f64| {
+            let [precision, completeness] = [&there, &back].map(|d| share_within(d, threshold_m));
+            let sum = precision + completeness;
+            AtThreshold {
+                threshold_m,
+                precision,
+                completeness,
+                f_score: if sum > 0.0 {
+                    2.0 * precision * completeness / sum
+                } else {
+                    0.0
+                },
+            }
+        };
+        Ok(Self {
+            chamfer_l1_m: (a.mean_m + b.mean_m) / 2.0,
+            chamfer_l2_m: ((a.rmse_m.powi(2) + b.rmse_m.powi(2)) / 2.0).sqrt(),
+            thresholds: protocol.thresholds_m.iter().map(at).collect(),
+            mesh_to_reference,
+            reference_to_mesh,
+        })
+    }
+}
+
+impl Direction {
+    /// The distances that count, and what they come to.
+    fn of(distances: &[f64], limit: Option<Limit>, direction: &'static str) -> Result<(Vec<f64>, Self)> {
+        let beyond = |limit_m| distances.par_iter().filter(|&&d| d >= limit_m).count();
+        let (counting, left_out, clamped): (Vec<f64>, _, _) = match limit {
+            None => (distances.to_vec(), 0, 0),
+            Some(Limit::LeaveOut(limit_m)) => {
+                let within = distances.iter().copied().filter(|&d| d < limit_m);
+                (within.collect(), beyond(limit_m), 0)
+            }
+            Some(Limit::Clamp(limit_m)) => {
+                let shortened = distances.iter().map(|d| d.min(limit_m));
+                (shortened.collect(), 0, beyond(limit_m))
+            }
+        };
+        let stats = Stats::of(&counting).ok_or(EvalError::AllLeftOut {
+            direction,
+            points: distances.len(),
+            limit_m: limit.map_or(f64::INFINITY, Limit::limit_m),
+        })?;
+        let (bins, bin_m) = BINS;
+        let histogram = Histogram::of(&counting, bin_m, bins);
+        let direction = Self {
+            stats,
+            left_out,
+            clamped,
+            histogram,
+        };
+        Ok((counting, direction))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,64 @@
+//! Why there is nothing to compare.
+
+/// The one error of this crate. Its message is one line.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EvalError {
+    /// There is no triangle.
+    #[error("the {0} has no triangles: is it a cloud of points?")]
+    NoTriangles(&'static str),
+    /// All triangles are degenerate or not finite.
+    #[error("the {0} has no area: all its {1} triangles are degenerate or not finite")]
+    NoArea(&'static str, usize),
+    /// There is no point.
+    #[error("the reference has no points")]
+    NoPoints,
+    /// All points are NaN, infinite or absurdly far away.
+    #[error("none of the {0} points of the reference is finite and within 100 000 km of the origin")]
+    NoFinitePoints(usize),
+    /// A triangle's corner is no vertex.
+    #[error("triangle {triangle} of the {of} has corner {corner}, but there are {vertices} vertices")]
+    Corner {
+        /// Which mesh.
+        of: &'static str,
+        /// Its number.
+        triangle: usize,
+        /// The number of the vertex.
+        corner: u32,
+        /// How many there are.
+        vertices: usize,
+    },
+    /// Nearest neighbours are numbered with 32 bits.
+    #[error("{0} points are more than can be numbered: take fewer samples, or each N-th scan")]
+    TooManyPoints(usize),
+    /// The crop or the reference's box leaves nothing.
+    #[error("no part of the {of} lies within {within}")]
+    NothingWithin {
+        /// The mesh or the reference.
+        of: &'static str,
+        /// Which box.
+        within: String,
+    },
+    /// Every distance of a direction exceeds the protocol's limit.
+    #[error(
+        "all {points} distances from {direction} exceed {limit_m} m, beyond which this protocol leaves them out: is the reference of another place or unit?"
+    )]
+    AllLeftOut {
+        /// From what to what.
+        direction: &'static str,
+        /// How many.
+        points: usize,
+        /// The limit.
+        limit_m: f64,
+    },
+    /// A field of the protocol is out of range.
+    #[error("{field} {wrong}")]
+    Protocol {
+        /// Its name.
+        field: &'static str,
+        /// What is wrong with it.
+        wrong: String,
+    },
+}
+
+/// Result with this crate's [`EvalError`].
+pub type Result<T, E = EvalError> = std::result::Result<T, E>;

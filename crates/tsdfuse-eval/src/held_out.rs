@@ -1,0 +1,114 @@
+//! Held-out scans: how well a map foretells what it has not seen. Needs no ground truth.
+//!
+//! ```text
+//!             margin  return  margin
+//!   sensor ○─────┤───────●───────┤        where the map, seen along the ray of a return that it does not hold, has its surface:
+//!           ^^^^^ ^^^^^^^^^^^^^^^ ^^^^^
+//!           false       hit      missing
+//! ```
+//!
+//! Each return is looked for along its own ray, from where the sensor was when it was measured. So any sensor will do, also
+//! one that moved while it scanned, and depth cameras.
+
+use serde::Serialize;
+use tsdfuse::Scan;
+use tsdfuse::render::{Ray, Renderer};
+
+use crate::stats::Stats;
+
+/// Whether every `every`-th scan being held out, the one at `position` is: the middle one of each group, so that scans before
+/// and after it are in the map.
+pub fn is_held_out(position: usize, every: usize) -> bool {
+    every > 0 && position % every == every / 2
+}
+
+/// How the returns of held-out scans lie to the surface of a map. The three shares add up to 1.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct HeldOut {
+    /// Farther from its return than this, along the ray, surface is another surface, metres.
+    pub margin_m: f64,
+    /// Returns of the held-out scans.
+    pub returns: u64,
+    /// Share of the returns with surface within the margin.
+    pub hit_rate: f64,
+    /// Share with surface nearer to the sensor than that, where the ray has been: false surface.
+    pub false_surface: f64,
+    /// Share without surface up to the margin behind the return.
+    pub missing: f64,
+    /// |Δr| of the hits: measured range against that of the surface; `None` without any.
+    pub error: Option<Stats>,
+    /// Mean of Δr = surface − measured, over the hits, metres: negative where surface stands too near to the sensor; 0 without
+    /// any.
+    pub bias_m: f64,
+    /// Mean over all returns of min(|Δr|, margin), false and missing surface counting as the margin, metres. Holes do not make
+    /// it better.
+    pub capped_error_m: f64,
+}
+
+/// Collects [`HeldOut`] scan by scan.
+#[derive(Clone, Debug)]
+pub struct Collector {
+    margin_m: f64,
+    returns: u64,
+    in_front: u64,
+    /// Δr of the hits.
+    errors_m: Vec<f64>,
+}
+
+impl Collector {
+    /// With this margin, see [`HeldOut::margin_m`].
+    pub fn new(margin_m: f64) -> Self {
+        Self {
+            margin_m,
+            returns: 0,
+            in_front: 0,
+            errors_m: Vec::new(),
+        }
+    }
+
+    /// Compares the returns of a scan that is not in the map. Invalid ones must be out of it: see [`Scan::drop_invalid`].
+    pub fn add(&mut self, renderer: &Renderer, scan: &Scan) {
+        let ray = |(pose, point): (tsdfuse::Pose, &tsdfuse::glam::Vec3)| Ray {
+            origin: pose.translation,
+            direction: pose.rotation * point.as_dvec3(),
+            length_m: f64::from(point.length()) + self.margin_m,
+        };
+        let rays: Vec<Ray> = scan.poses().zip(&scan.points).map(ray).collect();
+        self.returns += rays.len() as u64;
+        for (hit, ray) in renderer.cast(&rays).into_iter().zip(&rays) {
+            let Some(hit) = hit else { continue };
+            let off_m = f64::from(hit.range_m) - (ray.length_m - self.margin_m);
+            if off_m < -self.margin_m {
+                self.in_front += 1;
+            } else {
+                self.errors_m.push(off_m);
+            }
+        }
+    }
+
+    /// Δr of all hits so far, metres.
+    pub fn errors_m(&self) -> &[f64] {
+        &self.errors_m
+    }
+
+    /// All returns so far; `None` if there are none.
+    pub fn result(&self) -> Option<HeldOut> {
+        let share = |n: u64| n as f64 / self.returns as f64;
+        let hits = self.errors_m.len() as u64;
+        let absolute: Vec<f64> = self.errors_m.iter().map(|e| e.abs()).collect();
+        let misses = (self.returns - hits) as f64;
+        (self.returns > 0).then(|| HeldOut {
+            margin_m: self.margin_m,
+            returns: self.returns,
+            hit_rate: share(hits),
+            false_surface: share(self.in_front),
+            missing: share(self.returns - hits - self.in_front),
+            error: Stats::of(&absolute),
+            bias_m: self.errors_m.iter().sum::<f64>() / hits.max(1) as f64,
+            capped_error_m: (absolute.iter().sum::<f64>() + misses * self.margin_m) / self.returns as f64,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,46 @@
+//! How good a reconstructed mesh is.
+//!
+//! A mesh is sampled ([`sample`]), the samples are compared with a [`Reference`] (a cloud or a mesh) in both directions
+//! by the rules of a [`Protocol`], and the distances become a [`Comparison`]: averages, percentiles, completeness, precision
+//! and F-score, for all places and for those that were densely observed. What each figure means is written in
+//! `docs/evaluation.md`.
+//!
+//! All lengths are metres. The same input gives the same figures on any number of threads.
+//!
+//! ```
+//! use tsdfuse::{Mesh, glam::DVec3};
+//! use tsdfuse_eval::{Protocol, Reference, compare};
+//!
+//! let mesh = Mesh {
+//!     vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y],
+//!     triangles: vec![[0, 1, 2]],
+//!     ..Default::default()
+//! };
+//! // The same triangle, 3 cm higher.
+//! let mut higher = mesh.clone();
+//! higher.vertices.iter_mut().for_each(|v| v.z += 0.03);
+//! let found = compare(&mesh, &Reference::mesh(higher)?, &Protocol::surface())?;
+//! assert!((found.all.mesh_to_reference.stats.mean_m - 0.03).abs() < 1e-9);
+//! assert_eq!(found.all.thresholds[0].f_score, 1.0); // at 5 cm
+//! # Ok::<(), tsdfuse_eval::EvalError>(())
+//! ```
+
+pub mod color;
+pub mod compare;
+pub mod dense;
+mod error;
+pub mod held_out;
+pub mod picture;
+mod plausible;
+pub mod protocol;
+pub mod reference;
+pub mod sample;
+pub mod stats;
+pub mod triangle;
+mod voxels;
+
+pub use compare::{Comparison, compare};
+pub use error::{EvalError, Result};
+pub use protocol::Protocol;
+pub use reference::{Bounds, Reference};
+pub use stats::Stats;

@@ -1,0 +1,224 @@
+//! What a mesh is compared with.
+
+mod cloud;
+mod coherent;
+mod triangles;
+
+use std::sync::OnceLock;
+
+use rayon::prelude::*;
+use serde::Serialize;
+use tsdfuse::Mesh;
+use tsdfuse::glam::DVec3;
+
+use crate::error::{EvalError, Result};
+use crate::sample;
+
+pub(crate) use cloud::CloudTree;
+pub(crate) use triangles::TriangleTree;
+
+/// Coordinates beyond this, metres, are errors: the Earth is smaller.
+pub const MAX_COORDINATE_M: f64 = 1e8;
+
+/// Opposite corners of a box, metres.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Bounds {
+    /// Least coordinates.
+    pub min: DVec3,
+    /// Greatest coordinates.
+    pub max: DVec3,
+}
+
+impl Bounds {
+    /// The box around points; `None` around none.
+    pub fn of(points: &[DVec3]) -> Option<Self> {
+        let of_point = |&p: &DVec3| Self { min: p, max: p };
+        let joined = |a: Self, b: Self| Self {
+            min: a.min.min(b.min),
+            max: a.max.max(b.max),
+        };
+        points.par_iter().map(of_point).reduce_with(joined)
+    }
+
+    /// Whether a point lies in it or on its sides.
+    pub fn contains(&self, p: DVec3) -> bool {
+        p.cmpge(self.min).all() && p.cmple(self.max).all()
+    }
+
+    /// Length of the diagonal, metres.
+    pub fn diagonal_m(&self) -> f64 {
+        self.min.distance(self.max)
+    }
+
+    /// The distance between two boxes, metres: 0 where they overlap.
+    pub fn gap_m(&self, other: &Self) -> f64 {
+        (other.min - self.max)
+            .max(self.min - other.max)
+            .max(DVec3::ZERO)
+            .length()
+    }
+}
+
+/// A cloud or a mesh that tells how far points are from it.
+#[derive(Debug)]
+pub struct Reference {
+    shape: Shape,
+    bounds: Bounds,
+    /// Points that stand for the surface that can be found again, where they are not the cloud itself.
+    observed: Option<Vec<DVec3>>,
+    left_out: usize,
+}
+
+#[derive(Debug)]
+enum Shape {
+    Cloud {
+        points: Vec<DVec3>,
+        tree: OnceLock<CloudTree>,
+    },
+    Mesh {
+        mesh: Mesh,
+        tree: OnceLock<TriangleTree>,
+    },
+}
+
+impl Reference {
+    /// A cloud: distances are to the nearest point. Points that are not finite are left out and counted.
+    ///
+    /// # Errors
+    /// If no point is left, or there are more than can be numbered.
+    pub fn cloud(points: Vec<DVec3>) -> Result<Self> {
+        let (points, left_out) = finite(points)?;
+        let bounds = Bounds::of(&points).ok_or(EvalError::NoPoints)?;
+        let tree = OnceLock::new();
+        Ok(Self {
+            shape: Shape::Cloud { points, tree },
+            bounds,
+            observed: None,
+            left_out,
+        })
+    }
+
+    /// A mesh: distances are to the nearest point of any triangle. Triangles that are not finite are left out and counted.
+    ///
+    /// # Errors
+    /// If it has no area, or a corner that is no vertex.
+    pub fn mesh(mesh: Mesh) -> Result<Self> {
+        let (mesh, left_out) = sound("reference", mesh)?;
+        let used: Vec<DVec3> = mesh
+            .triangles
+            .iter()
+            .flatten()
+            .map(|&v| mesh.vertices[v as usize])
+            .collect();
+        let bounds = Bounds::of(&used).ok_or(EvalError::NoTriangles("reference"))?;
+        let tree = OnceLock::new();
+        Ok(Self {
+            shape: Shape::Mesh { mesh, tree },
+            bounds,
+            observed: None,
+            left_out,
+        })
+    }
+
+    /// Completeness is asked for these points alone: those that a sensor did see of a true surface, for instance.
+    ///
+    /// # Errors
+    /// As [`Reference::cloud`].
+    pub fn with_observed(mut self, points: Vec<DVec3>) -> Result<Self> {
+        let (points, left_out) = finite(points)?;
+        self.observed = Some(points);
+        self.left_out += left_out;
+        Ok(self)
+    }
+
+    /// The distance from each point to the reference, metres: to its nearest point, or to the nearest point of any triangle.
+    pub fn distances(&self, points: &[DVec3]) -> Vec<f64> {
+        match &self.shape {
+            Shape::Cloud { points: cloud, tree } => tree.get_or_init(|| CloudTree::new(cloud)).distances(points),
+            Shape::Mesh { mesh, tree } => tree.get_or_init(|| TriangleTree::new(mesh)).distances(points),
+        }
+    }
+
+    /// The box around it.
+    pub fn bounds(&self) -> Bounds {
+        self.bounds
+    }
+
+    /// What it is, for people: `cloud` or `mesh`.
+    pub fn kind(&self) -> &'static str {
+        match self.shape {
+            Shape::Cloud { .. } => "cloud",
+            Shape::Mesh { .. } => "mesh",
+        }
+    }
+
+    /// The points that a mesh should come close to: the observed ones, the cloud's, or `None` for a mesh without either.
+    pub fn points(&self) -> Option<&[DVec3]> {
+        match (&self.observed, &self.shape) {
+            (Some(observed), _) => Some(observed),
+            (None, Shape::Cloud { points, .. }) => Some(points),
+            (None, Shape::Mesh { .. }) => None,
+        }
+    }
+
+    /// The mesh, if it is one.
+    pub fn as_mesh(&self) -> Option<&Mesh> {
+        match &self.shape {
+            Shape::Mesh { mesh, .. } => Some(mesh),
+            Shape::Cloud { .. } => None,
+        }
+    }
+
+    /// How many points or triangles were left out because they are not finite.
+    pub fn left_out(&self) -> usize {
+        self.left_out
+    }
+}
+
+fn is_sound(p: DVec3) -> bool {
+    p.abs().max_element() <= MAX_COORDINATE_M && !p.is_nan()
+}
+
+/// The finite points, and how many are not.
+fn finite(mut points: Vec<DVec3>) -> Result<(Vec<DVec3>, usize)> {
+    let all = points.len();
+    points.retain(|&p| is_sound(p));
+    match points.len() {
+        0 if all == 0 => Err(EvalError::NoPoints),
+        0 => Err(EvalError::NoFinitePoints(all)),
+        // The trees number points with 32 bits.
+        n if n >= u32::MAX as usize => Err(EvalError::TooManyPoints(n)),
+        n => Ok((points, all - n)),
+    }
+}
+
+/// A mesh whose corners are vertices and whose triangles are finite, and how many triangles are not.
+pub(crate) fn sound(of: &'static str, mut mesh: Mesh) -> Result<(Mesh, usize)> {
+    let all = mesh.triangles.len();
+    if all == 0 {
+        return Err(EvalError::NoTriangles(of));
+    }
+    let vertices = mesh.vertices.len();
+    for (triangle, corners) in mesh.triangles.iter().enumerate() {
+        if let Some(&corner) = corners.iter().find(|&&v| v as usize >= vertices) {
+            return Err(EvalError::Corner {
+                of,
+                triangle,
+                corner,
+                vertices,
+            });
+        }
+    }
+    let Mesh {
+        vertices, triangles, ..
+    } = &mut mesh;
+    triangles.retain(|t| t.iter().all(|&v| is_sound(vertices[v as usize])));
+    let left_out = all - mesh.triangles.len();
+    match sample::area_m2(&mesh) > 0.0 {
+        true => Ok((mesh, left_out)),
+        false => Err(EvalError::NoArea(of, all)),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,38 @@
+//! Asking for many points in an order in which neighbours follow each other, so that caches hold what the next one needs.
+
+use rayon::prelude::*;
+use tsdfuse::glam::DVec3;
+
+use super::Bounds;
+
+/// `distance` of each point, in the order of the points.
+pub(super) fn distances(points: &[DVec3], distance: impl Fn(DVec3) -> f64 + Sync) -> Vec<f64> {
+    let Some(bounds) = Bounds::of(points) else {
+        return Vec::new();
+    };
+    let mut order: Vec<(u32, u32)> = points
+        .par_iter()
+        .zip(0..points.len() as u32)
+        .map(|(&p, i)| (morton(p, &bounds), i))
+        .collect();
+    order.par_sort_unstable();
+    let ordered: Vec<f64> = order.par_iter().map(|&(_, i)| distance(points[i as usize])).collect();
+    let mut distances = vec![0.0; points.len()];
+    order
+        .iter()
+        .zip(ordered)
+        .for_each(|(&(_, i), distance)| distances[i as usize] = distance);
+    distances
+}
+
+/// Bits of the coordinates in turn, 10 of each.
+fn morton(p: DVec3, bounds: &Bounds) -> u32 {
+    // A box without depth gives NaN, which becomes 0.
+    let cell = ((p - bounds.min) / (bounds.max - bounds.min) * 1023.0)
+        .as_uvec3()
+        .to_array();
+    (0..10)
+        .rev()
+        .flat_map(|bit| cell.map(|c| c >> bit & 1))
+        .fold(0, |code, bit| code << 1 | bit)
+}
