@@ -253,7 +253,7 @@ pub(super) mod tests {
                 }
             }));
         });
-        all.sort_by_key(|v| v.to_array());
+        all.sort_by_key(glam::IVec3::to_array);
         all
     }
 

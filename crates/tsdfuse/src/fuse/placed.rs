@@ -72,7 +72,7 @@ impl Placed {
         let cell = |p: &Vec3| {
             let c = (*p * cells_per_m).floor().as_ivec3();
             let hash = c.x.wrapping_mul(73_856_093) ^ c.y.wrapping_mul(19_349_669) ^ c.z.wrapping_mul(83_492_791);
-            (hash & CELLS as i32 - 1) as u16
+            (hash & (CELLS as i32 - 1)) as u16
         };
         self.points
             .par_iter()
