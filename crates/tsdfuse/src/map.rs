@@ -37,6 +37,12 @@ const MAX_BLOCK: u32 = (1 << 28) - 2;
 /// Parts of the block table.
 pub const SHARDS: usize = 64;
 
+/// Blocks come in regions, cubes of 4³ of them, that lie in one shard: by this many bits of a voxel's coordinates.
+pub(crate) const REGION_SHIFT: u32 = 5;
+
+/// Blocks in a region.
+pub(crate) const REGION_BLOCKS: usize = 64;
+
 /// Size of voxels and of the band around the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -171,7 +177,7 @@ impl Voxel {
 
     /// Limits the weight to `max_sum` (fixed point), keeping F.
     #[inline]
-    fn limit(&mut self, max_sum: u32) {
+    pub(crate) fn limit(&mut self, max_sum: u32) {
         if self.weight_sum > max_sum {
             let scaled = i64::from(self.distance_sum) * i64::from(max_sum) / i64::from(self.weight_sum);
             *self = Self {
@@ -364,11 +370,11 @@ impl PartialEq for VoxelMap {
     }
 }
 
-/// The part of the table that holds a block: the hash of voxel block hashing (5.1), of the cube of 4³ blocks it lies in, so that
+/// The part of the table that holds a block: the hash of voxel block hashing (5.1), of the region it lies in, so that
 /// what touches one block and its neighbours mostly touches one shard.
 #[inline]
 pub(crate) fn shard_of(BlockIndex(b): BlockIndex) -> usize {
-    let b: glam::IVec3 = b >> 2;
+    let b: IVec3 = b >> (REGION_SHIFT - 3);
     let h = b.x.wrapping_mul(73_856_093) ^ b.y.wrapping_mul(19_349_669) ^ b.z.wrapping_mul(83_492_791);
     h as usize % SHARDS
 }

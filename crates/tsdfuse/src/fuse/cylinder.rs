@@ -14,7 +14,7 @@ use crate::index::{BLOCK_EDGE, BlockIndex, GridPoint, round};
 pub(crate) const VOXEL_RADIUS: f32 = 0.866_025_4;
 
 /// Widening of what is proposed, in voxels: far above the rounding errors of f32 within a cylinder.
-const SLACK: f32 = 0.01;
+pub(super) const SLACK: f32 = 0.01;
 
 /// From the middle of a block to the centres of its outermost voxels.
 const HALF_BLOCK: f32 = 0.5 * (BLOCK_EDGE - 1) as f32;
@@ -33,13 +33,13 @@ pub(crate) struct Cylinder {
     stretch_x: f32,
 }
 
-/// Eight voxels in a row, in voxels from the centre of a cylinder.
+/// Eight voxels, in a row of a block or not, in voxels from the centre of a cylinder.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Row<S: Simd> {
     /// v − c.
     pub(crate) x: f32x8<S>,
-    pub(crate) y: f32,
-    pub(crate) z: f32,
+    pub(crate) y: f32x8<S>,
+    pub(crate) z: f32x8<S>,
     /// (v − c)·axis.
     pub(crate) along: f32x8<S>,
     /// ‖v − c‖².
@@ -204,8 +204,8 @@ impl Cylinder {
             let (j, k) = (row % ROW, row / ROW);
             let voxels = Row {
                 x,
-                y: (cell.y + j as f32) + 0.5 - self.center.fraction.y,
-                z: (cell.z + k as f32) + 0.5 - self.center.fraction.z,
+                y: f32x8::splat(simd, (cell.y + j as f32) + 0.5 - self.center.fraction.y),
+                z: f32x8::splat(simd, (cell.z + k as f32) + 0.5 - self.center.fraction.z),
                 along: along_x + along_yz[k][j],
                 distance2: x2 + distance2_yz[k][j],
             };

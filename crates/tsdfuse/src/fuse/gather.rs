@@ -47,13 +47,13 @@ pub(crate) enum Skip {
 
 /// What became of the items of one lane.
 #[derive(Clone, Copy, Debug, Default)]
-struct Counts {
+pub(super) struct Counts {
     fused: u64,
     skipped: Skipped,
 }
 
 impl Counts {
-    fn count(&mut self, done: Result<(), Skip>) {
+    pub(super) fn count(&mut self, done: Result<(), Skip>) {
         match done {
             Ok(()) => self.fused += 1,
             Err(Skip::OutsideGrid) => self.skipped.outside_grid += 1,
@@ -62,7 +62,7 @@ impl Counts {
         }
     }
 
-    fn add_to(&self, done: &mut Integration) {
+    pub(super) fn add_to(&self, done: &mut Integration) {
         done.skipped += self.skipped;
         done.fused_returns += self.fused;
     }
@@ -388,14 +388,11 @@ impl Updates {
     /// [`Updates::add`], with the same rounding.
     #[inline(always)]
     pub(crate) fn add_row<S: Simd>(&mut self, row: usize, inside: mask32x8<S>, distance: f32x8<S>, weight: f32x8<S>) {
-        // As `fixed` does.
-        let scaled = weight.max(0.0).min(1.0) * WEIGHT_SCALE as f32 + ROUND;
-        let product = distance.max(-1.0).min(1.0) * (scaled - ROUND) + ROUND;
+        let (weight, distance) = fixed_row(distance, weight);
         let row = row % ROWS;
         self.rows |= u64::from(inside.any_true()) << row;
-        for (sums, new) in [(&mut self.weights[row], scaled), (&mut self.distances[row], product)] {
+        for (sums, new) in [(&mut self.weights[row], weight), (&mut self.distances[row], distance)] {
             let simd = new.token();
-            let new = new.bitcast::<i32x8<S>>() - ROUND.to_bits() as i32;
             let new = inside.select(new, i32x8::splat(simd, 0));
             *sums = (i32x8::simd_from(simd, *sums) + new).into();
         }
@@ -431,6 +428,18 @@ impl Updates {
         self.rows = 0;
         most > limit
     }
+}
+
+/// [`fixed`], for eight voxels.
+#[inline(always)]
+pub(super) fn fixed_row<S: Simd>(distance: f32x8<S>, weight: f32x8<S>) -> (i32x8<S>, i32x8<S>) {
+    let scaled = weight.max(0.0).min(1.0) * WEIGHT_SCALE as f32 + ROUND;
+    let product = distance.max(-1.0).min(1.0) * (scaled - ROUND) + ROUND;
+    let zero = ROUND.to_bits() as i32;
+    (
+        scaled.bitcast::<i32x8<S>>() - zero,
+        product.bitcast::<i32x8<S>>() - zero,
+    )
 }
 
 /// Pass 2.

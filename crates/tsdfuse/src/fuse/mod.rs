@@ -12,12 +12,12 @@ mod cylindrical;
 mod depth;
 mod gather;
 mod kuehner;
+mod lines;
 mod normals;
 mod pierced;
 mod placed;
 mod raycast;
 mod roldao;
-mod shafts;
 mod surfel;
 
 use serde::{Deserialize, Serialize};

@@ -14,10 +14,10 @@ use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
 use super::{
     FuseError, Integration, Integrator,
     beams::Beams,
-    cylinder::{Cylinder, Row, VOXEL_RADIUS},
+    cylinder::{Row, VOXEL_RADIUS},
     gather::Skip,
+    lines::{Line, Lines, Rule},
     placed::Placed,
-    shafts::{Rule, Shaft, Shafts},
 };
 use crate::{
     map::VoxelMap,
@@ -34,7 +34,7 @@ pub struct Normals {
     placed: Placed,
     image: ScanImage,
     normals: Vec<Normal>,
-    shafts: Shafts,
+    lines: Lines,
 }
 
 impl Normals {
@@ -69,7 +69,7 @@ impl Integrator for Normals {
 
         let truncation = map.config().truncation_vox();
         let (placed, normals) = (&self.placed, &self.normals);
-        let shaft = |i| {
+        let line = |i| {
             let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
             let Normal { normal, agreement } = normals[i];
             if !normals[i].is_some() {
@@ -81,10 +81,13 @@ impl Integrator for Normals {
             if !(weight > 0.0) {
                 return Err(Skip::WithoutWeight);
             }
-            let about = Cylinder::new(ray.end, normal, VOXEL_RADIUS, truncation);
-            Ok(Shaft { about, weight })
+            Ok(Line {
+                center: ray.end,
+                axis: normal,
+                weight,
+            })
         };
-        let integration = self.shafts.run(map, &placed.order, shaft, &AlongNormal);
+        let integration = self.lines.run(map, &placed.order, line, &AlongNormal { truncation });
         Ok(Integration {
             prepare_secs,
             ..integration
@@ -92,16 +95,18 @@ impl Integrator for Normals {
     }
 }
 
-struct AlongNormal;
+struct AlongNormal {
+    truncation: f32,
+}
 
 impl Rule for AlongNormal {
+    const BALL: bool = false;
+
     #[inline(always)]
-    fn of<S: Simd>(&self, simd: S, shaft: &Shaft) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
-        let Cylinder {
-            radius, half_length, ..
-        } = shaft.about;
-        let (weight, inverse) = (f32x8::splat(simd, shaft.weight), 1.0 / half_length);
+    fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+        let truncation = self.truncation;
+        let (weight, inverse) = (f32x8::splat(simd, line.weight), 1.0 / truncation);
         #[inline(always)]
-        move |v| (v.within(radius, half_length), v.along * inverse, weight) // (5.14)(5.15)(5.16)
+        move |v| (v.within(VOXEL_RADIUS, truncation), v.along * inverse, weight) // (5.14)(5.15)(5.16)
     }
 }

@@ -3,7 +3,7 @@
 use fearless_simd::{Simd, mask32x8, prelude::*};
 use glam::{IVec3, Vec3, Vec3A};
 
-use super::cylinder::{Cylinder, Row};
+use super::cylinder::Row;
 use crate::index::{BLOCK_EDGE, BlockIndex, GridPoint, round};
 
 /// A line through `center` along the unit vector `axis`, of which the part within `half_length` voxels of `center` counts.
@@ -17,15 +17,15 @@ pub(crate) struct Segment {
 /// An axis along which the line moves slower than this counts as standing still.
 const STILL: f32 = 1e-6;
 
-/// Those of eight voxels that the line of a cylinder passes through. Seen along each edge of a voxel, the line must run within
+/// Those of eight voxels that a line along `axis` passes through. Seen along each edge of a voxel, the line must run within
 /// the square that the voxel shows (the axes that can separate a line from a box); on the border, it belongs to one side.
 #[inline(always)]
-pub(crate) fn pierced<S: Simd>(line: &Cylinder, row: &Row<S>) -> mask32x8<S> {
-    let Vec3 { x: ax, y: ay, z: az } = line.axis;
+pub(crate) fn pierced<S: Simd>(axis: Vec3, row: &Row<S>) -> mask32x8<S> {
+    let Vec3 { x: ax, y: ay, z: az } = axis;
     let half = |j: f32, k: f32| (0.5 * (j.abs() + k.abs())).max(STILL);
     let (x, y, z) = (row.x, row.y, row.z);
     let along_x = y * az - z * ay;
-    let along_x = mask32x8::splat(x.token(), along_x > -half(ay, az) && along_x <= half(ay, az));
+    let along_x = along_x.simd_gt(-half(ay, az)) & along_x.simd_le(half(ay, az));
     let along_y = z * ax - x * az;
     let along_y = along_y.simd_gt(-half(ax, az)) & along_y.simd_le(half(ax, az));
     let along_z = x * ay - y * ax;
@@ -106,7 +106,7 @@ fn crossing(inverse: f32, border: f32, center: f32) -> f32 {
 mod tests {
     use super::*;
     use crate::fuse::cylinder::{
-        VOXEL_RADIUS,
+        Cylinder, VOXEL_RADIUS,
         tests::{any_cylinder, literal},
     };
     use proptest::prelude::*;
@@ -198,7 +198,7 @@ mod tests {
         let mut all = Vec::new();
         line.for_each_block_here(|block| {
             fearless_simd::dispatch!(fearless_simd::Level::new(), simd => line.for_each_row(simd, block, |row, v| {
-                let mask = (pierced(line, v) & v.within(line.radius, line.half_length)).to_bitmask();
+                let mask = (pierced(line.axis, v) & v.within(line.radius, line.half_length)).to_bitmask();
                 let first = block.first_voxel() + IVec3::new(0, row as i32 % 8, row as i32 / 8);
                 all.extend((0..8).filter(|x| mask >> x & 1 == 1).map(|x| first + IVec3::X * x));
             }));

@@ -21,11 +21,11 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     FuseError, Integration, Integrator,
-    cylinder::{Cylinder, Row, VOXEL_RADIUS},
+    cylinder::{Row, VOXEL_RADIUS},
     gather::Skip,
+    lines::{Line, Lines, Rule},
     pierced::pierced,
     placed::Placed,
-    shafts::{Rule, Shaft, Shafts},
 };
 use crate::{map::VoxelMap, scan::Scan};
 
@@ -53,7 +53,7 @@ pub struct RaycastConfig {
 pub struct Raycast {
     config: RaycastConfig,
     placed: Placed,
-    shafts: Shafts,
+    lines: Lines,
 }
 
 impl Raycast {
@@ -74,15 +74,17 @@ impl Integrator for Raycast {
 
         let truncation = map.config().truncation_vox();
         let placed = &self.placed;
-        let shaft = |i| {
+        let line = |i| {
             let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
-            let about = Cylinder::new(ray.end, ray.direction, VOXEL_RADIUS, truncation);
-            let weight = (1.0 / ray.range_m).min(1.0); // (5.8)
-            Ok(Shaft { about, weight })
+            Ok(Line {
+                center: ray.end,
+                axis: ray.direction,
+                weight: (1.0 / ray.range_m).min(1.0), // (5.8)
+            })
         };
         let integration = match self.config.distance {
-            Distance::Euclidean => self.shafts.run(map, &placed.order, shaft, &Euclidean { truncation }),
-            Distance::Projective => self.shafts.run(map, &placed.order, shaft, &Projective { truncation }),
+            Distance::Euclidean => self.lines.run(map, &placed.order, line, &Euclidean { truncation }),
+            Distance::Projective => self.lines.run(map, &placed.order, line, &Projective { truncation }),
         };
         Ok(Integration {
             prepare_secs,
@@ -97,10 +99,12 @@ struct Euclidean {
 }
 
 impl Rule for Euclidean {
+    const BALL: bool = true;
+
     #[inline(always)]
-    fn of<S: Simd>(&self, simd: S, shaft: &Shaft) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+    fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let (truncation, inverse) = (self.truncation, 1.0 / self.truncation);
-        let weight = f32x8::splat(simd, shaft.weight);
+        let weight = f32x8::splat(simd, line.weight);
         #[inline(always)]
         move |v| {
             let inside = v.within(VOXEL_RADIUS, truncation) & v.distance2.simd_le(truncation * truncation);
@@ -116,15 +120,17 @@ struct Projective {
 }
 
 impl Rule for Projective {
+    const BALL: bool = true;
+
     #[inline(always)]
-    fn of<S: Simd>(&self, _: S, shaft: &Shaft) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+    fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let (truncation, inverse) = (self.truncation, 1.0 / self.truncation);
         // Fully known down to 1.5 voxels behind the surface, enough for the noise of ranges to cancel, or half the band.
         let slope = 1.0 / (truncation - (0.5 * truncation).min(1.5));
-        let (line, weight) = (shaft.about, shaft.weight);
+        let (axis, weight) = (line.axis, line.weight);
         #[inline(always)]
         move |v| {
-            let inside = pierced(&line, v) & v.distance2.simd_le(truncation * truncation);
+            let inside = pierced(axis, v) & v.distance2.simd_le(truncation * truncation);
             let beside = 1.0 - (v.distance2 - v.along * v.along) * (1.0 / (VOXEL_RADIUS * VOXEL_RADIUS));
             let behind = ((truncation - v.along) * slope).max(0.0).min(1.0);
             (inside, -v.along * inverse, beside * weight * (behind * behind))

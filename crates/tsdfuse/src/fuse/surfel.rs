@@ -12,13 +12,13 @@
 
 use std::time::Instant;
 
-use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
+use fearless_simd::{Simd, dispatch, f32x8, mask32x8, prelude::*};
 
 use super::{
     FuseError, Integration, Integrator, Skipped,
     cylinder::{Cylinder, Row},
+    gather::Gather,
     placed::Placed,
-    shafts::{Rule, Shaft, Shafts},
 };
 use crate::{
     map::{MapConfig, VoxelMap},
@@ -34,8 +34,8 @@ pub struct Surfels {
     max_range_m: Option<f32>,
     placed: Placed,
     surfels: SurfelMap,
-    discs: Vec<Shaft>,
-    shafts: Shafts,
+    discs: Vec<Disc>,
+    gather: Gather<Disc>,
 }
 
 impl Surfels {
@@ -70,7 +70,7 @@ impl Surfels {
                     fused += returns;
                     let radius = surfel.radius_m * voxels_per_m;
                     let about = Cylinder::new(center, surfel.normal, radius, config.truncation_vox());
-                    self.discs.push(Shaft { about, weight });
+                    self.discs.push(Disc { about, weight });
                 }
             }
         }
@@ -95,9 +95,7 @@ impl Integrator for Surfels {
         let (fused_returns, skipped) = self.make_discs(max_range_m, map.config());
         let prepare_secs = start.elapsed().as_secs_f64();
 
-        let discs = &self.discs;
-        let all: Vec<u32> = (0..discs.len() as u32).collect();
-        let integration = self.shafts.run(map, &all, |i| Ok(discs[i]), &AcrossDisc);
+        let integration = update(map, &mut self.gather, &self.discs);
         Ok(Integration {
             fused_returns,
             skipped,
@@ -107,19 +105,52 @@ impl Integrator for Surfels {
     }
 }
 
-struct AcrossDisc;
+/// A surfel whose voxels are updated.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+struct Disc {
+    about: Cylinder,
+    /// By range (5.26).
+    weight: f32,
+}
 
-impl Rule for AcrossDisc {
+impl Disc {
+    /// For eight voxels: which are updated, with what distance over μ, and with what weight.
     #[inline(always)]
-    fn of<S: Simd>(&self, _: S, shaft: &Shaft) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+    fn rule<S: Simd>(&self) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let Cylinder {
             radius, half_length, ..
-        } = shaft.about;
-        let (weight, inverse) = (shaft.weight, 1.0 / half_length);
+        } = self.about;
+        let (weight, inverse) = (self.weight, 1.0 / half_length);
         #[inline(always)]
         move |v| {
             let by_distance = weight / (v.distance2.sqrt() * inverse + 1.0); // (5.25)(5.27)
             (v.within(radius, half_length), v.along * inverse, by_distance) // (5.21)(5.22)(5.24)
         }
     }
+}
+
+/// Updates the voxels of all discs.
+fn update(map: &mut VoxelMap, gather: &mut Gather<Disc>, discs: &[Disc]) -> Integration {
+    let level = gather.level();
+    gather.run(
+        map,
+        discs.len(),
+        |range, near| {
+            dispatch!(level, simd => for i in range {
+                let disc = discs[i];
+                disc.about.for_each_block(simd, #[inline(always)] |block| near.block(block, i as u32, disc));
+            });
+        },
+        |_| false,
+        |block, discs, updates| {
+            dispatch!(level, simd => for disc in discs.iter() {
+                let rule = disc.rule();
+                disc.about.for_each_row(simd, block, #[inline(always)] |row, voxels| {
+                    let (inside, distance, weight) = rule(voxels);
+                    updates.add_row(row, inside, distance, weight);
+                });
+            });
+        },
+    )
 }

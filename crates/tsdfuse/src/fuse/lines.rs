@@ -1,0 +1,406 @@
+//! Updating the voxels about thin lines: what raycasting and local normals do, a hundred thousand times a scan.
+//!
+//! ```text
+//!   returns ─┬─ lane 0 ─▶ lines, by the regions of 4³ blocks that they may reach into     pass 1: threads own lanes
+//!            └─ lane …
+//!   shard 0 ◀─ the lines of every lane, region by region ─▶ voxels of the map             pass 2: threads own shards
+//!   shard …
+//! ```
+//!
+//! A line of this kind is short, 2μ, and no wider than a voxel, so that it touches some twenty voxels, two in each cache line
+//! that it touches, and few other lines of the scan touch the same ones. What costs time is therefore
+//!
+//! - *finding these voxels.* Cut by the planes through voxel centres across its dominant axis, a cylinder of radius √3/2 shows
+//!   ellipses that reach at most 1.225 voxels from the line along either other axis. So its voxels are among the 3 × 3
+//!   around the one that the line meets, in eight planes at a time: nine steps for a vector of eight lanes;
+//! - *finding their blocks.* Within a region a voxel has an address of 15 bits, which the steps work out along the way; a table of
+//!   64 slots leads from there to its block. Blocks are looked up in the map once a scan;
+//! - *the way to memory.* Lines are sorted by place, so that a voxel's cache line is mostly near when the next one needs it.
+//!
+//! No locks, no atomics, no `unsafe`. The same bits on any number of threads: sums are integers, lines come in one order, and a
+//! region is written by the thread that owns its shard.
+
+use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, prelude::*};
+use glam::{IVec3, Vec3};
+use hashbrown::HashMap;
+use rayon::prelude::*;
+use rustc_hash::FxBuildHasher;
+
+use super::{
+    Integration,
+    cylinder::{Row, SLACK, VOXEL_RADIUS},
+    gather::{Counts, Skip, fixed_row},
+};
+use crate::{
+    index::{BLOCK_VOXELS, BlockIndex, GridPoint, ROUND, round},
+    map::{REGION_BLOCKS, REGION_SHIFT, SHARDS, Shard, VoxelMap, shard_of},
+};
+
+/// A line through `center` along the unit vector `axis`, whose voxels are updated with a weight.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Line {
+    pub(crate) center: GridPoint,
+    pub(crate) axis: Vec3,
+    pub(crate) weight: f32,
+}
+
+/// What a method does to the voxels about a line, eight at a time.
+pub(crate) trait Rule: Sync {
+    /// Whether it leaves alone what is farther than μ from the line's centre, not only what is farther along the line.
+    const BALL: bool;
+
+    /// Prepares for one line; what is returned tells for voxels near it which of them are updated (none farther than √3/2 from
+    /// the line, nor than μ along it), with what distance over μ, and with what weight.
+    fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>);
+}
+
+/// Pieces of a scan: enough to balance the load of many threads.
+const LANES: usize = 32;
+
+/// Voxels along the edge of a region.
+const REGION_EDGE: i32 = 1 << REGION_SHIFT;
+
+/// Of voxel coordinates within a region, none of these is set.
+const BEYOND: i32 = !(REGION_EDGE - 1);
+
+/// Buffers, kept from scan to scan.
+#[derive(Debug)]
+pub(crate) struct Lines {
+    /// The vector instructions of this CPU.
+    level: Level,
+    lanes: Vec<Lane>,
+    shards: Vec<Slots>,
+}
+
+/// For each region of a shard, where its blocks are: slots in the shard, or [`CLOSED`].
+type Slots = HashMap<IVec3, [u32; REGION_BLOCKS], FxBuildHasher>;
+
+/// Of a block that this scan has not updated so far.
+const CLOSED: u32 = u32::MAX;
+
+/// The lines of one piece of a scan.
+#[derive(Debug, Default)]
+struct Lane {
+    buckets: Vec<Bucket>,
+    counts: Counts,
+}
+
+/// What a lane has for one shard.
+#[derive(Debug, Default)]
+struct Bucket {
+    lines: Vec<Line>,
+    /// Regions, and where the lines end that may reach into them.
+    runs: Vec<(IVec3, usize)>,
+}
+
+impl Default for Lines {
+    fn default() -> Self {
+        Self::with(Level::new())
+    }
+}
+
+impl Lines {
+    /// With given instructions.
+    fn with(level: Level) -> Self {
+        let buckets = || (0..SHARDS).map(|_| Bucket::default()).collect();
+        let lane = |_| Lane {
+            buckets: buckets(),
+            ..Default::default()
+        };
+        Self {
+            level,
+            lanes: (0..LANES).map(lane).collect(),
+            shards: vec![Slots::default(); SHARDS],
+        }
+    }
+
+    /// Makes a line of each of some items, or tells why there is none, and updates their voxels. It is faster if items that
+    /// follow each other are neighbours.
+    pub(crate) fn run(
+        &mut self,
+        map: &mut VoxelMap,
+        items: &[u32],
+        make: impl Fn(usize) -> Result<Line, Skip> + Sync,
+        rule: &impl Rule,
+    ) -> Integration {
+        let (stamp, limit) = map.begin_integration();
+        let truncation = map.config().truncation_vox();
+        self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
+            lane.clear();
+            for &i in &items[items.len() * k / LANES..items.len() * (k + 1) / LANES] {
+                let line = make(i as usize);
+                lane.counts.count(line.map(|_| ()));
+                if let Ok(line) = line {
+                    lane.push(line, truncation);
+                }
+            }
+        });
+        let (lanes, level) = (&self.lanes, self.level);
+        let shards = map.shards.par_iter_mut().zip(&mut self.shards).enumerate();
+        let touched: Vec<Vec<BlockIndex>> = shards
+            .map(|(s, (shard, slots))| {
+                slots.clear();
+                let mut touched = Vec::new();
+                let buckets = lanes.iter().map(|lane| &lane.buckets[s]);
+                let runs = buckets.flat_map(|b| {
+                    let starts = std::iter::once(0).chain(b.runs.iter().map(|run| run.1));
+                    b.runs
+                        .iter()
+                        .zip(starts)
+                        .map(|(run, start)| (run.0, &b.lines[start..run.1]))
+                });
+                for (region, lines) in runs {
+                    let mut writer = Writer {
+                        shard: &mut *shard,
+                        region,
+                        slots: slots.entry(region).or_insert([CLOSED; REGION_BLOCKS]),
+                        touched: &mut touched,
+                        stamp,
+                        limit,
+                    };
+                    dispatch!(level, simd => for line in lines {
+                        update(simd, line, truncation, rule, &mut writer);
+                    });
+                }
+                touched
+            })
+            .collect();
+        let mut done = Integration {
+            updated_blocks: touched.concat(),
+            ..Default::default()
+        };
+        self.lanes.iter().for_each(|lane| lane.counts.add_to(&mut done));
+        done
+    }
+}
+
+impl Lane {
+    fn clear(&mut self) {
+        for bucket in &mut self.buckets {
+            bucket.lines.clear();
+            bucket.runs.clear();
+        }
+        self.counts = Counts::default();
+    }
+
+    /// Puts a line to each region that it may reach into.
+    #[inline(always)]
+    fn push(&mut self, line: Line, truncation: f32) {
+        let GridPoint { voxel, fraction } = line.center;
+        let half_box = reach(line.axis, truncation);
+        let (low, high) = (fraction - half_box, fraction + half_box - 1.0);
+        let first = (voxel + IVec3::new(round(low.x), round(low.y), round(low.z))) >> REGION_SHIFT;
+        let last = (voxel + IVec3::new(round(high.x), round(high.y), round(high.z))) >> REGION_SHIFT;
+        if first == last {
+            self.push_to(first, line);
+        } else {
+            self.push_to_each(first, last, line, truncation);
+        }
+    }
+
+    #[inline(never)]
+    fn push_to_each(&mut self, first: IVec3, last: IVec3, line: Line, truncation: f32) {
+        let far = 0.5 * 3.0_f32.sqrt() * REGION_EDGE as f32 + VOXEL_RADIUS + SLACK;
+        for z in first.z..=last.z {
+            for y in first.y..=last.y {
+                for x in first.x..=last.x {
+                    let region = IVec3::new(x, y, z);
+                    let middle = (region << REGION_SHIFT) + REGION_EDGE / 2 - line.center.voxel;
+                    let middle = middle.as_vec3() - line.center.fraction;
+                    let along = middle.dot(line.axis);
+                    if along.abs() <= far + truncation && (middle - along * line.axis).length() <= far {
+                        self.push_to(region, line);
+                    }
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn push_to(&mut self, region: IVec3, line: Line) {
+        let bucket = &mut self.buckets[shard_of(first_block(region))];
+        bucket.lines.push(line);
+        let end = bucket.lines.len();
+        match bucket.runs.last_mut() {
+            Some(last) if last.0 == region => last.1 = end,
+            _ => bucket.runs.push((region, end)),
+        }
+    }
+}
+
+/// The block with the lowest coordinates in a region.
+#[inline(always)]
+fn first_block(region: IVec3) -> BlockIndex {
+    BlockIndex::of(region << REGION_SHIFT)
+}
+
+/// How far the voxels of a line may be from its centre, along each axis of the grid.
+#[inline(always)]
+fn reach(axis: Vec3, truncation: f32) -> Vec3 {
+    let across = (Vec3::ONE - axis * axis).max(Vec3::ZERO);
+    let across = Vec3::new(across.x.sqrt(), across.y.sqrt(), across.z.sqrt());
+    axis.abs() * truncation + across * VOXEL_RADIUS + SLACK
+}
+
+/// Where the updates of a region go.
+struct Writer<'a> {
+    shard: &'a mut Shard,
+    region: IVec3,
+    slots: &'a mut [u32; REGION_BLOCKS],
+    touched: &'a mut Vec<BlockIndex>,
+    stamp: u32,
+    limit: u32,
+}
+
+impl Writer<'_> {
+    /// `address`: the number of the block in the region, then of the voxel in the block (9 bits).
+    #[inline(always)]
+    fn add(&mut self, address: usize, weight: i32, distance: i32) {
+        let block = address / BLOCK_VOXELS % REGION_BLOCKS;
+        if self.slots[block] == CLOSED {
+            self.open(block);
+        }
+        let voxels = &mut self.shard.blocks_mut()[self.slots[block] as usize].voxels;
+        let voxel = &mut voxels[address % BLOCK_VOXELS];
+        voxel.add_sums(weight, distance);
+        voxel.limit(self.limit);
+    }
+
+    /// Looks up a block that now gets its first update of this scan.
+    #[cold]
+    #[inline(never)]
+    fn open(&mut self, block: usize) {
+        let b = block as i32;
+        let index = BlockIndex(first_block(self.region).0 + IVec3::new(b & 3, b >> 2 & 3, b >> 4));
+        let slot = self.shard.slot_or_insert(index);
+        if self.shard.touch(slot, self.stamp) {
+            self.touched.push(index);
+        }
+        self.slots[block] = slot;
+    }
+}
+
+/// Updates the voxels of a line within a region.
+#[inline(always)]
+fn update<S: Simd, R: Rule>(simd: S, line: &Line, truncation: f32, rule: &R, writer: &mut Writer<'_>) {
+    let a = line.axis.abs();
+    if a.x >= a.y && a.x >= a.z {
+        update_along::<S, R, 0, 1, 2>(simd, line, truncation, rule, writer);
+    } else if a.y >= a.z {
+        update_along::<S, R, 1, 2, 0>(simd, line, truncation, rule, writer);
+    } else {
+        update_along::<S, R, 2, 0, 1>(simd, line, truncation, rule, writer);
+    }
+}
+
+/// As [`update`], for a line whose dominant axis is M; U and W are the others.
+#[inline(always)]
+fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize>(
+    simd: S,
+    line: &Line,
+    truncation: f32,
+    rule: &R,
+    writer: &mut Writer<'_>,
+) {
+    let (axis, fraction) = (line.axis.to_array(), line.center.fraction.to_array());
+    let center = (line.center.voxel - (writer.region << REGION_SHIFT)).to_array();
+    let slope = 1.0 / axis[M];
+    let rule_of_line = rule.of(simd, line);
+
+    let across = (1.0 - axis[M] * axis[M]).max(0.0).sqrt();
+    let reach = axis[M].abs() * truncation + across * VOXEL_RADIUS;
+    let reach = SLACK + if R::BALL { reach.min(truncation) } else { reach };
+    let mut plane = round(fraction[M] - reach).max(-center[M]);
+    let last = round(fraction[M] + reach - 1.0).min(REGION_EDGE - 1 - center[M]);
+    while plane <= last {
+        // Coordinates relative to the centre's voxel: of eight planes, of the voxels that the line meets there, of their
+        // neighbours.
+        let planes = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) + plane as f32;
+        let m = Places::<S, M>::of(planes + ROUND, fraction[M], axis[M], center[M]);
+        let t = m.offset * slope;
+        let beside = |u: usize| t * axis[u] + (fraction[u] - 0.5) + ROUND; // rounds to the nearest
+        let (u, w) = (beside(U), beside(W));
+        let u = [
+            Places::<S, U>::of(u - 1.0, fraction[U], axis[U], center[U]),
+            Places::<S, U>::of(u, fraction[U], axis[U], center[U]),
+            Places::<S, U>::of(u + 1.0, fraction[U], axis[U], center[U]),
+        ];
+        let w = [
+            Places::<S, W>::of(w - 1.0, fraction[W], axis[W], center[W]),
+            Places::<S, W>::of(w, fraction[W], axis[W], center[W]),
+            Places::<S, W>::of(w + 1.0, fraction[W], axis[W], center[W]),
+        ];
+
+        let mut addresses = [[0; 8]; 9];
+        let mut weights = [[0; 8]; 9];
+        let mut distances = [[0; 8]; 9];
+        let mut found = [0_u64; 2];
+        for k in 0..9 {
+            let (u, w) = (&u[k % 3], &w[k / 3]);
+            let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
+                let mut of = [m; 3];
+                (of[U], of[W]) = (u, w);
+                of
+            };
+            let [x, y, z] = xyz(m.offset, u.offset, w.offset);
+            let [along_x, along_y, along_z] = xyz(m.along, u.along, w.along);
+            let [x2, y2, z2] = xyz(m.square, u.square, w.square);
+            let voxels = Row {
+                x,
+                y,
+                z,
+                along: along_x + (along_y + along_z),
+                distance2: x2 + (y2 + z2),
+            };
+            let (inside, distance, weight) = rule_of_line(&voxels);
+            let (weight, distance) = fixed_row(distance, weight);
+            let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
+            let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
+            found[k / 8] |= updated.to_bitmask() << (8 * (k % 8));
+            addresses[k] = (m.address | u.address | w.address).into();
+            weights[k] = weight.into();
+            distances[k] = distance.into();
+        }
+        let (addresses, weights, distances) = (
+            addresses.as_flattened(),
+            weights.as_flattened(),
+            distances.as_flattened(),
+        );
+        for (k, mut left) in found.into_iter().enumerate() {
+            while left != 0 {
+                let i = (64 * k + left.trailing_zeros() as usize) % 72;
+                left &= left - 1;
+                writer.add(addresses[i] as usize, weights[i], distances[i]);
+            }
+        }
+        plane += 8;
+    }
+}
+
+/// What is to be known of eight voxels along one axis of the grid.
+#[derive(Clone, Copy)]
+struct Places<S: Simd, const AXIS: usize> {
+    /// From the line's centre to theirs; this times the line's axis; and its square.
+    offset: f32x8<S>,
+    along: f32x8<S>,
+    square: f32x8<S>,
+    /// In the region; these bits of an address.
+    coordinate: i32x8<S>,
+    address: i32x8<S>,
+}
+
+impl<S: Simd, const AXIS: usize> Places<S, AXIS> {
+    /// `voxels`: whole numbers relative to the centre's voxel, plus [`ROUND`].
+    #[inline(always)]
+    fn of(voxels: f32x8<S>, fraction: f32, axis: f32, center: i32) -> Self {
+        let offset = ((voxels - ROUND) + 0.5) - fraction;
+        let coordinate = voxels.bitcast::<i32x8<S>>() + center.wrapping_sub(ROUND.to_bits() as i32);
+        Self {
+            offset,
+            along: offset * axis,
+            square: offset * offset,
+            coordinate,
+            address: ((coordinate >> 3) << (9 + 2 * AXIS as u32)) | ((coordinate & 7) << (3 * AXIS as u32)),
+        }
+    }
+}
