@@ -140,7 +140,14 @@ impl Lines {
         let touched: Vec<Vec<BlockIndex>> = shards
             .map(|(s, (shard, slots))| {
                 slots.clear();
-                let mut touched = Vec::new();
+                let mut writer = Writer {
+                    shard,
+                    touched: Vec::new(),
+                    stamp,
+                    limit,
+                    queue: [Update::default(); QUEUE],
+                    queued: 0,
+                };
                 let buckets = lanes.iter().map(|lane| &lane.buckets[s]);
                 let runs = buckets.flat_map(|b| {
                     let starts = std::iter::once(0).chain(b.runs.iter().map(|run| run.1));
@@ -149,20 +156,15 @@ impl Lines {
                         .zip(starts)
                         .map(|(run, start)| (run.0, &b.lines[start..run.1]))
                 });
-                for (region, lines) in runs {
-                    let mut writer = Writer {
-                        shard: &mut *shard,
-                        region,
-                        slots: slots.entry(region).or_insert([CLOSED; REGION_BLOCKS]),
-                        touched: &mut touched,
-                        stamp,
-                        limit,
-                    };
+                for (index, lines) in runs {
+                    let slots = slots.entry(index).or_insert([CLOSED; REGION_BLOCKS]);
+                    let mut region = Region { index, slots };
                     dispatch!(level, simd => for line in lines {
-                        update(simd, line, truncation, rule, &mut writer);
+                        update(simd, line, truncation, rule, &mut region, &mut writer);
                     });
                 }
-                touched
+                writer.write();
+                writer.touched
             })
             .collect();
         let mut done = Integration {
@@ -242,54 +244,105 @@ fn reach(axis: Vec3, truncation: f32) -> Vec3 {
     axis.abs() * truncation + across * VOXEL_RADIUS + SLACK
 }
 
-/// Where the updates of a region go.
+/// Where the updates of a shard go: they are queued, so that many ways to memory are gone at once.
 struct Writer<'a> {
     shard: &'a mut Shard,
-    region: IVec3,
-    slots: &'a mut [u32; REGION_BLOCKS],
-    touched: &'a mut Vec<BlockIndex>,
+    touched: Vec<BlockIndex>,
     stamp: u32,
     limit: u32,
+    queue: [Update; QUEUE],
+    queued: usize,
+}
+
+/// An update of a voxel, given by its block's slot in the shard and its number in the block.
+#[derive(Clone, Copy, Default)]
+struct Update {
+    slot: u32,
+    voxel: u32,
+    weight: i32,
+    distance: i32,
+}
+
+const QUEUE: usize = 512;
+
+/// A region of the shard, and where its blocks are.
+struct Region<'a> {
+    index: IVec3,
+    slots: &'a mut [u32; REGION_BLOCKS],
 }
 
 impl Writer<'_> {
     /// `address`: the number of the block in the region, then of the voxel in the block (9 bits).
     #[inline(always)]
-    fn add(&mut self, address: usize, weight: i32, distance: i32) {
+    fn add(&mut self, region: &mut Region<'_>, address: usize, weight: i32, distance: i32) {
         let block = address / BLOCK_VOXELS % REGION_BLOCKS;
-        if self.slots[block] == CLOSED {
-            self.open(block);
+        if region.slots[block] == CLOSED {
+            region.slots[block] = self.open(region.index, block as i32);
         }
-        let voxels = &mut self.shard.blocks_mut()[self.slots[block] as usize].voxels;
-        let voxel = &mut voxels[address % BLOCK_VOXELS];
-        voxel.add_sums(weight, distance);
-        voxel.limit(self.limit);
+        self.queue[self.queued % QUEUE] = Update {
+            slot: region.slots[block],
+            voxel: (address % BLOCK_VOXELS) as u32,
+            weight,
+            distance,
+        };
+        self.queued += 1;
     }
 
-    /// Looks up a block that now gets its first update of this scan.
+    #[inline(always)]
+    fn make_room(&mut self) {
+        if self.queued > QUEUE - 72 {
+            self.write();
+        }
+    }
+
+    #[inline(always)]
+    fn write(&mut self) {
+        let blocks = self.shard.blocks_mut();
+        if std::env::var_os("X").is_some() {
+            let mut s = 0;
+            for update in &self.queue[..self.queued.min(QUEUE)] {
+                s ^= blocks[update.slot as usize].voxels[update.voxel as usize % BLOCK_VOXELS].weight_sum;
+            }
+            std::hint::black_box(s);
+        }
+        for update in &self.queue[..self.queued.min(QUEUE)] {
+            let voxel = &mut blocks[update.slot as usize].voxels[update.voxel as usize % BLOCK_VOXELS];
+            voxel.add_sums(update.weight, update.distance);
+            voxel.limit(self.limit);
+        }
+        self.queued = 0;
+    }
+
+    /// The slot of a block that now gets its first update of this scan.
     #[cold]
     #[inline(never)]
-    fn open(&mut self, block: usize) {
-        let b = block as i32;
-        let index = BlockIndex(first_block(self.region).0 + IVec3::new(b & 3, b >> 2 & 3, b >> 4));
+    fn open(&mut self, region: IVec3, block: i32) -> u32 {
+        let index = BlockIndex(first_block(region).0 + IVec3::new(block & 3, block >> 2 & 3, block >> 4));
         let slot = self.shard.slot_or_insert(index);
         if self.shard.touch(slot, self.stamp) {
             self.touched.push(index);
         }
-        self.slots[block] = slot;
+        slot
     }
 }
 
 /// Updates the voxels of a line within a region.
 #[inline(always)]
-fn update<S: Simd, R: Rule>(simd: S, line: &Line, truncation: f32, rule: &R, writer: &mut Writer<'_>) {
+fn update<S: Simd, R: Rule>(
+    simd: S,
+    line: &Line,
+    truncation: f32,
+    rule: &R,
+    region: &mut Region<'_>,
+    writer: &mut Writer<'_>,
+) {
     let a = line.axis.abs();
     if a.x >= a.y && a.x >= a.z {
-        update_along::<S, R, 0, 1, 2>(simd, line, truncation, rule, writer);
+        update_along::<S, R, 0, 1, 2>(simd, line, truncation, rule, region, writer);
     } else if a.y >= a.z {
-        update_along::<S, R, 1, 2, 0>(simd, line, truncation, rule, writer);
+        update_along::<S, R, 1, 2, 0>(simd, line, truncation, rule, region, writer);
     } else {
-        update_along::<S, R, 2, 0, 1>(simd, line, truncation, rule, writer);
+        update_along::<S, R, 2, 0, 1>(simd, line, truncation, rule, region, writer);
     }
 }
 
@@ -300,10 +353,11 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
     line: &Line,
     truncation: f32,
     rule: &R,
+    region: &mut Region<'_>,
     writer: &mut Writer<'_>,
 ) {
     let (axis, fraction) = (line.axis.to_array(), line.center.fraction.to_array());
-    let center = (line.center.voxel - (writer.region << REGION_SHIFT)).to_array();
+    let center = (line.center.voxel - (region.index << REGION_SHIFT)).to_array();
     let slope = 1.0 / axis[M];
     let rule_of_line = rule.of(simd, line);
 
@@ -370,9 +424,10 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
             while left != 0 {
                 let i = (64 * k + left.trailing_zeros() as usize) % 72;
                 left &= left - 1;
-                writer.add(addresses[i] as usize, weights[i], distances[i]);
+                writer.add(region, addresses[i] as usize, weights[i], distances[i]);
             }
         }
+        writer.make_room();
         plane += 8;
     }
 }
