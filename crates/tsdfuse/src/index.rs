@@ -139,7 +139,7 @@ impl Anchor {
     }
 
     /// Locates a point given relative to the anchor (world axes, metres); `None` where the grid ends or for NaN.
-    #[inline]
+    #[inline(always)]
     pub fn locate(&self, from_anchor_m: Vec3) -> Option<GridPoint> {
         let v = self.fraction + from_anchor_m.as_dvec3() * self.voxels_per_m;
         // Also false for NaN.
@@ -155,7 +155,7 @@ impl Anchor {
 }
 
 /// The floor of numbers that fit an i32: a few instructions, where the library's is a call on the x86-64 baseline.
-#[inline]
+#[inline(always)]
 pub(crate) fn floor(v: DVec3) -> IVec3 {
     let towards_zero = v.as_ivec3();
     let above = towards_zero.as_dvec3().cmpgt(v);

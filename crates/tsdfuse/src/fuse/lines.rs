@@ -46,12 +46,49 @@ pub(crate) struct Line {
 
 /// What a method does to the voxels about a line, eight at a time.
 pub(crate) trait Rule: Sync {
-    /// Whether it leaves alone what is farther than μ from the line's centre, not only what is farther along the line.
-    const BALL: bool;
+    /// Where all voxels lie that are updated.
+    const SHAPE: Shape;
 
     /// Prepares for one line; what is returned tells for voxels near it which of them are updated (none farther than √3/2 from
     /// the line, nor than μ along it), with what distance over μ, and with what weight.
     fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>);
+}
+
+/// Where voxels lie whose centres are at most √3/2 from a line and at most μ from its centre along it.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Shape {
+    /// All of these.
+    Cylinder,
+    /// Those at most μ from its centre.
+    RoundedCylinder,
+    /// Those of the latter that the line passes through.
+    Pierced,
+}
+
+impl Shape {
+    /// How far from the centre voxels may lie along axis `m` of the grid.
+    #[inline(always)]
+    fn reach(self, axis_m: f32, truncation: f32) -> f32 {
+        let across = (1.0 - axis_m * axis_m).max(0.0).sqrt();
+        let reach = axis_m.abs() * truncation + across * VOXEL_RADIUS;
+        SLACK
+            + if self == Self::Cylinder {
+                reach
+            } else {
+                reach.min(truncation)
+            }
+    }
+
+    /// How many voxels side by side along axis `u`, in a plane across the dominant axis, the line may have: two or three.
+    #[inline(always)]
+    fn wide(self, [axis_m, axis_u, axis_w]: [f32; 3]) -> usize {
+        // Half the extent of a square pulled along by half a plane, or of an ellipse.
+        let half = match self {
+            Self::Pierced => 0.5 + 0.5 * axis_u.abs() / axis_m.abs(),
+            _ => VOXEL_RADIUS * (1.0 - axis_w * axis_w).max(0.0).sqrt() / axis_m.abs(),
+        };
+        if half + SLACK < 1.0 { 2 } else { 3 }
+    }
 }
 
 /// Pieces of a scan: enough to balance the load of many threads.
@@ -125,17 +162,18 @@ impl Lines {
     ) -> Integration {
         let (stamp, limit) = map.begin_integration();
         let truncation = map.config().truncation_vox();
+        let level = self.level;
         self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
             lane.clear();
-            for &i in &items[items.len() * k / LANES..items.len() * (k + 1) / LANES] {
+            dispatch!(level, _ => for &i in &items[items.len() * k / LANES..items.len() * (k + 1) / LANES] {
                 let line = make(i as usize);
                 lane.counts.count(line.map(|_| ()));
                 if let Ok(line) = line {
                     lane.push(line, truncation);
                 }
-            }
+            });
         });
-        let (lanes, level) = (&self.lanes, self.level);
+        let lanes = &self.lanes;
         let shards = map.shards.par_iter_mut().zip(&mut self.shards).enumerate();
         let touched: Vec<Vec<BlockIndex>> = shards
             .map(|(s, (shard, slots))| {
@@ -361,59 +399,56 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
     let slope = 1.0 / axis[M];
     let rule_of_line = rule.of(simd, line);
 
-    let across = (1.0 - axis[M] * axis[M]).max(0.0).sqrt();
-    let reach = axis[M].abs() * truncation + across * VOXEL_RADIUS;
-    let reach = SLACK + if R::BALL { reach.min(truncation) } else { reach };
+    let wide_u = R::SHAPE.wide([axis[M], axis[U], axis[W]]);
+    let wide_w = R::SHAPE.wide([axis[M], axis[W], axis[U]]);
+    let reach = R::SHAPE.reach(axis[M], truncation);
     let mut plane = round(fraction[M] - reach).max(-center[M]);
     let last = round(fraction[M] + reach - 1.0).min(REGION_EDGE - 1 - center[M]);
     while plane <= last {
-        // Coordinates relative to the centre's voxel: of eight planes, of the voxels that the line meets there, of their
-        // neighbours.
+        // Coordinates relative to the centre's voxel: of eight planes, of the first voxels beside the line there.
         let planes = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) + plane as f32;
         let m = Places::<S, M>::of(planes + ROUND, fraction[M], axis[M], center[M]);
         let t = m.offset * slope;
-        let beside = |u: usize| t * axis[u] + (fraction[u] - 0.5) + ROUND; // rounds to the nearest
-        let (u, w) = (beside(U), beside(W));
+        let first = |u: usize, wide: usize| t * axis[u] + (fraction[u] - 0.5 * wide as f32) + ROUND;
+        let (u, w) = (first(U, wide_u), first(W, wide_w));
         let u = [
-            Places::<S, U>::of(u - 1.0, fraction[U], axis[U], center[U]),
             Places::<S, U>::of(u, fraction[U], axis[U], center[U]),
             Places::<S, U>::of(u + 1.0, fraction[U], axis[U], center[U]),
-        ];
-        let w = [
-            Places::<S, W>::of(w - 1.0, fraction[W], axis[W], center[W]),
-            Places::<S, W>::of(w, fraction[W], axis[W], center[W]),
-            Places::<S, W>::of(w + 1.0, fraction[W], axis[W], center[W]),
+            Places::<S, U>::of(u + 2.0, fraction[U], axis[U], center[U]),
         ];
 
         let mut addresses = [[0; 8]; 9];
         let mut weights = [[0; 8]; 9];
         let mut distances = [[0; 8]; 9];
         let mut found = [0_u64; 2];
-        for k in 0..9 {
-            let (u, w) = (&u[k % 3], &w[k / 3]);
-            let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
-                let mut of = [m; 3];
-                (of[U], of[W]) = (u, w);
-                of
-            };
-            let [x, y, z] = xyz(m.offset, u.offset, w.offset);
-            let [along_x, along_y, along_z] = xyz(m.along, u.along, w.along);
-            let [x2, y2, z2] = xyz(m.square, u.square, w.square);
-            let voxels = Row {
-                x,
-                y,
-                z,
-                along: along_x + (along_y + along_z),
-                distance2: x2 + (y2 + z2),
-            };
-            let (inside, distance, weight) = rule_of_line(&voxels);
-            let (weight, distance) = fixed_row(distance, weight);
-            let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
-            let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
-            found[k / 8] |= updated.to_bitmask() << (8 * (k % 8));
-            addresses[k] = (m.address | u.address | w.address).into();
-            weights[k] = weight.into();
-            distances[k] = distance.into();
+        for j in 0..wide_w {
+            let w = Places::<S, W>::of(w + j as f32, fraction[W], axis[W], center[W]);
+            for (i, u) in u[..wide_u].iter().enumerate() {
+                let k = (3 * j + i) % 9;
+                let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
+                    let mut of = [m; 3];
+                    (of[U], of[W]) = (u, w);
+                    of
+                };
+                let [x, y, z] = xyz(m.offset, u.offset, w.offset);
+                let [along_x, along_y, along_z] = xyz(m.along, u.along, w.along);
+                let [x2, y2, z2] = xyz(m.square, u.square, w.square);
+                let voxels = Row {
+                    x,
+                    y,
+                    z,
+                    along: along_x + (along_y + along_z),
+                    distance2: x2 + (y2 + z2),
+                };
+                let (inside, distance, weight) = rule_of_line(&voxels);
+                let (weight, distance) = fixed_row(distance, weight);
+                let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
+                let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
+                found[k / 8] |= updated.to_bitmask() << (8 * (k % 8));
+                addresses[k] = (m.address | u.address | w.address).into();
+                weights[k] = weight.into();
+                distances[k] = distance.into();
+            }
         }
         let (addresses, weights, distances) = (
             addresses.as_flattened(),

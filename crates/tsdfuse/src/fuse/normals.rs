@@ -16,7 +16,7 @@ use super::{
     beams::Beams,
     cylinder::{Row, VOXEL_RADIUS},
     gather::Skip,
-    lines::{Line, Lines, Rule},
+    lines::{Line, Lines, Rule, Shape},
     placed::Placed,
 };
 use crate::{
@@ -69,25 +69,30 @@ impl Integrator for Normals {
 
         let truncation = map.config().truncation_vox();
         let (placed, normals) = (&self.placed, &self.normals);
-        let line = |i| {
-            let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
-            let Normal { normal, agreement } = normals[i];
-            if !normals[i].is_some() {
-                return Err(Skip::WithoutNormal);
-            }
-            let by_range = 1.0 - ray.range_m / sensor.max_range_m; // (5.18)
-            let by_incidence = 1.0 - 2.0 * acos_f32(-ray.direction.dot(normal)) / PI; // (5.19)
-            let weight = agreement * by_range * by_incidence; // (5.20); agreement is (5.17)
-            if !(weight > 0.0) {
-                return Err(Skip::WithoutWeight);
-            }
-            Ok(Line {
-                center: ray.end,
-                axis: normal,
-                weight,
-            })
-        };
-        let integration = self.lines.run(map, &placed.order, line, &AlongNormal { truncation });
+        let integration = self.lines.run(
+            map,
+            &placed.order,
+            #[inline(always)]
+            |i| {
+                let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
+                let Normal { normal, agreement } = normals[i];
+                if !normals[i].is_some() {
+                    return Err(Skip::WithoutNormal);
+                }
+                let by_range = 1.0 - ray.range_m / sensor.max_range_m; // (5.18)
+                let by_incidence = 1.0 - 2.0 * acos_f32(-ray.direction.dot(normal)) / PI; // (5.19)
+                let weight = agreement * by_range * by_incidence; // (5.20); agreement is (5.17)
+                if !(weight > 0.0) {
+                    return Err(Skip::WithoutWeight);
+                }
+                Ok(Line {
+                    center: ray.end,
+                    axis: normal,
+                    weight,
+                })
+            },
+            &AlongNormal { truncation },
+        );
         Ok(Integration {
             prepare_secs,
             ..integration
@@ -100,7 +105,7 @@ struct AlongNormal {
 }
 
 impl Rule for AlongNormal {
-    const BALL: bool = false;
+    const SHAPE: Shape = Shape::Cylinder;
 
     #[inline(always)]
     fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {

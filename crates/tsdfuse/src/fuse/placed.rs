@@ -102,7 +102,7 @@ impl Placed {
     }
 
     /// One return; `None` if it is invalid or outside the grid.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn ray(&self, i: usize) -> Option<Ray> {
         let point = self.points[i];
         let along = point - self.origins.get(i).copied().unwrap_or(Vec3::ZERO);

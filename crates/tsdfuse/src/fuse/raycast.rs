@@ -23,7 +23,7 @@ use super::{
     FuseError, Integration, Integrator,
     cylinder::{Row, VOXEL_RADIUS},
     gather::Skip,
-    lines::{Line, Lines, Rule},
+    lines::{Line, Lines, Rule, Shape},
     pierced::pierced,
     placed::Placed,
 };
@@ -73,18 +73,22 @@ impl Integrator for Raycast {
         let prepare_secs = start.elapsed().as_secs_f64();
 
         let truncation = map.config().truncation_vox();
-        let placed = &self.placed;
-        let line = |i| {
-            let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
-            Ok(Line {
-                center: ray.end,
-                axis: ray.direction,
-                weight: (1.0 / ray.range_m).min(1.0), // (5.8)
-            })
-        };
+        let (lines, placed) = (&mut self.lines, &self.placed);
         let integration = match self.config.distance {
-            Distance::Euclidean => self.lines.run(map, &placed.order, line, &Euclidean { truncation }),
-            Distance::Projective => self.lines.run(map, &placed.order, line, &Projective { truncation }),
+            Distance::Euclidean => lines.run(
+                map,
+                &placed.order,
+                #[inline(always)]
+                |i| along(placed, i),
+                &Euclidean { truncation },
+            ),
+            Distance::Projective => lines.run(
+                map,
+                &placed.order,
+                #[inline(always)]
+                |i| along(placed, i),
+                &Projective { truncation },
+            ),
         };
         Ok(Integration {
             prepare_secs,
@@ -93,13 +97,24 @@ impl Integrator for Raycast {
     }
 }
 
+/// The line along a ray.
+#[inline(always)]
+fn along(placed: &Placed, i: usize) -> Result<Line, Skip> {
+    let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
+    Ok(Line {
+        center: ray.end,
+        axis: ray.direction,
+        weight: (1.0 / ray.range_m).min(1.0), // (5.8)
+    })
+}
+
 /// The thesis's form.
 struct Euclidean {
     truncation: f32,
 }
 
 impl Rule for Euclidean {
-    const BALL: bool = true;
+    const SHAPE: Shape = Shape::RoundedCylinder;
 
     #[inline(always)]
     fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
@@ -120,7 +135,7 @@ struct Projective {
 }
 
 impl Rule for Projective {
-    const BALL: bool = true;
+    const SHAPE: Shape = Shape::Pierced;
 
     #[inline(always)]
     fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
