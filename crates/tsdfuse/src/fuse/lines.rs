@@ -183,7 +183,7 @@ impl Lines {
                     touched: Vec::new(),
                     stamp,
                     limit,
-                    queue: [Update::default(); QUEUE],
+                    queue: [Found::default(); QUEUE],
                     queued: 0,
                 };
                 let buckets = lanes.iter().map(|lane| &lane.buckets[s]);
@@ -197,11 +197,11 @@ impl Lines {
                 for (index, lines) in runs {
                     let slots = slots.entry(index).or_insert([CLOSED; REGION_BLOCKS]);
                     let mut region = Region { index, slots };
-                    dispatch!(level, simd => for line in lines {
+                    dispatch!(level, simd => { for line in lines {
                         update(simd, line, truncation, rule, &mut region, &mut writer);
-                    });
+                    }
+                    writer.write(&mut region); });
                 }
-                writer.write();
                 writer.touched
             })
             .collect();
@@ -282,26 +282,28 @@ fn reach(axis: Vec3, truncation: f32) -> Vec3 {
     axis.abs() * truncation + across * VOXEL_RADIUS + SLACK
 }
 
-/// Where the updates of a shard go: they are queued, so that many ways to memory are gone at once.
+/// Where the updates of a shard go. They are queued for some lines, so that many ways to memory are gone at once.
 struct Writer<'a> {
     shard: &'a mut Shard,
     touched: Vec<BlockIndex>,
     stamp: u32,
     limit: u32,
-    queue: [Update; QUEUE],
+    queue: [Found; QUEUE],
     queued: usize,
 }
 
-/// An update of a voxel, given by its block's slot in the shard and its number in the block.
-#[derive(Clone, Copy, Default)]
-struct Update {
-    slot: u32,
-    voxel: u32,
-    weight: i32,
-    distance: i32,
-}
+const QUEUE: usize = 8;
 
-const QUEUE: usize = 512;
+/// Up to nine times eight voxels in a region.
+#[derive(Clone, Copy, Default)]
+struct Found {
+    /// Which of them are updated: a bit for each, 64 first.
+    updated: [u64; 2],
+    /// The number of the block in the region, then of the voxel in the block (9 bits).
+    addresses: [[i32; 8]; 9],
+    weights: [[i32; 8]; 9],
+    distances: [[i32; 8]; 9],
+}
 
 /// A region of the shard, and where its blocks are.
 struct Region<'a> {
@@ -310,43 +312,36 @@ struct Region<'a> {
 }
 
 impl Writer<'_> {
-    /// `address`: the number of the block in the region, then of the voxel in the block (9 bits).
     #[inline(always)]
-    fn add(&mut self, region: &mut Region<'_>, address: usize, weight: i32, distance: i32) {
-        let block = address / BLOCK_VOXELS % REGION_BLOCKS;
-        if region.slots[block] == CLOSED {
-            region.slots[block] = self.open(region.index, block as i32);
+    fn next(&mut self, region: &mut Region<'_>) -> &mut Found {
+        if self.queued == QUEUE {
+            self.write(region);
         }
-        self.queue[self.queued % QUEUE] = Update {
-            slot: region.slots[block],
-            voxel: (address % BLOCK_VOXELS) as u32,
-            weight,
-            distance,
-        };
         self.queued += 1;
+        &mut self.queue[self.queued - 1]
     }
 
     #[inline(always)]
-    fn make_room(&mut self) {
-        if self.queued > QUEUE - 72 {
-            self.write();
-        }
-    }
-
-    #[inline(always)]
-    fn write(&mut self) {
-        let blocks = self.shard.blocks_mut();
-        if std::env::var_os("X").is_some() {
-            let mut s = 0;
-            for update in &self.queue[..self.queued.min(QUEUE)] {
-                s ^= blocks[update.slot as usize].voxels[update.voxel as usize % BLOCK_VOXELS].weight_sum;
+    fn write(&mut self, region: &mut Region<'_>) {
+        for n in 0..self.queued.min(QUEUE) {
+            for k in 0..2 {
+                let mut left = self.queue[n].updated[k];
+                while left != 0 {
+                    let i = (64 * k + left.trailing_zeros() as usize) % 72;
+                    left &= left - 1;
+                    let found = &self.queue[n];
+                    let address = found.addresses.as_flattened()[i] as usize;
+                    let block = address / BLOCK_VOXELS % REGION_BLOCKS;
+                    if region.slots[block] == CLOSED {
+                        region.slots[block] = self.open(region.index, block as i32);
+                    }
+                    let found = &self.queue[n];
+                    let slot = region.slots[block] as usize;
+                    let voxel = &mut self.shard.blocks_mut()[slot].voxels[address % BLOCK_VOXELS];
+                    voxel.add_sums(found.weights.as_flattened()[i], found.distances.as_flattened()[i]);
+                    voxel.limit(self.limit);
+                }
             }
-            std::hint::black_box(s);
-        }
-        for update in &self.queue[..self.queued.min(QUEUE)] {
-            let voxel = &mut blocks[update.slot as usize].voxels[update.voxel as usize % BLOCK_VOXELS];
-            voxel.add_sums(update.weight, update.distance);
-            voxel.limit(self.limit);
         }
         self.queued = 0;
     }
@@ -417,10 +412,8 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
             Places::<S, U>::of(u + 2.0, fraction[U], axis[U], center[U]),
         ];
 
-        let mut addresses = [[0; 8]; 9];
-        let mut weights = [[0; 8]; 9];
-        let mut distances = [[0; 8]; 9];
-        let mut found = [0_u64; 2];
+        let found = writer.next(region);
+        found.updated = [0; 2];
         for j in 0..wide_w {
             let w = Places::<S, W>::of(w + j as f32, fraction[W], axis[W], center[W]);
             for (i, u) in u[..wide_u].iter().enumerate() {
@@ -444,25 +437,12 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
                 let (weight, distance) = fixed_row(distance, weight);
                 let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
                 let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
-                found[k / 8] |= updated.to_bitmask() << (8 * (k % 8));
-                addresses[k] = (m.address | u.address | w.address).into();
-                weights[k] = weight.into();
-                distances[k] = distance.into();
+                found.updated[k / 8] |= updated.to_bitmask() << (8 * (k % 8));
+                found.addresses[k] = (m.address | u.address | w.address).into();
+                found.weights[k] = weight.into();
+                found.distances[k] = distance.into();
             }
         }
-        let (addresses, weights, distances) = (
-            addresses.as_flattened(),
-            weights.as_flattened(),
-            distances.as_flattened(),
-        );
-        for (k, mut left) in found.into_iter().enumerate() {
-            while left != 0 {
-                let i = (64 * k + left.trailing_zeros() as usize) % 72;
-                left &= left - 1;
-                writer.add(region, addresses[i] as usize, weights[i], distances[i]);
-            }
-        }
-        writer.make_room();
         plane += 8;
     }
 }
