@@ -323,40 +323,46 @@ impl Writer<'_> {
 
     #[inline(always)]
     fn write(&mut self, region: &mut Region<'_>) {
-        for n in 0..self.queued.min(QUEUE) {
-            for k in 0..2 {
-                let mut left = self.queue[n].updated[k];
+        let mut blocks = self.shard.blocks_mut();
+        for found in &self.queue[..self.queued.min(QUEUE)] {
+            let addresses = found.addresses.as_flattened();
+            let (weights, distances) = (found.weights.as_flattened(), found.distances.as_flattened());
+            for (k, mut left) in found.updated.into_iter().enumerate() {
                 while left != 0 {
                     let i = (64 * k + left.trailing_zeros() as usize) % 72;
                     left &= left - 1;
-                    let found = &self.queue[n];
-                    let address = found.addresses.as_flattened()[i] as usize;
-                    let block = address / BLOCK_VOXELS % REGION_BLOCKS;
-                    if region.slots[block] == CLOSED {
-                        region.slots[block] = self.open(region.index, block as i32);
+                    let address = addresses[i] as usize;
+                    let slot = &mut region.slots[address / BLOCK_VOXELS % REGION_BLOCKS];
+                    if *slot == CLOSED {
+                        let index = block_at(region.index, address);
+                        *slot = open(self.shard, index, self.stamp, &mut self.touched);
+                        blocks = self.shard.blocks_mut();
                     }
-                    let found = &self.queue[n];
-                    let slot = region.slots[block] as usize;
-                    let voxel = &mut self.shard.blocks_mut()[slot].voxels[address % BLOCK_VOXELS];
-                    voxel.add_sums(found.weights.as_flattened()[i], found.distances.as_flattened()[i]);
+                    let voxel = &mut blocks[*slot as usize].voxels[address % BLOCK_VOXELS];
+                    voxel.add_sums(weights[i], distances[i]);
                     voxel.limit(self.limit);
                 }
             }
         }
         self.queued = 0;
     }
+}
 
-    /// The slot of a block that now gets its first update of this scan.
-    #[cold]
-    #[inline(never)]
-    fn open(&mut self, region: IVec3, block: i32) -> u32 {
-        let index = BlockIndex(first_block(region).0 + IVec3::new(block & 3, block >> 2 & 3, block >> 4));
-        let slot = self.shard.slot_or_insert(index);
-        if self.shard.touch(slot, self.stamp) {
-            self.touched.push(index);
-        }
-        slot
+/// The slot of a block that now gets its first update of this scan.
+#[cold]
+#[inline(never)]
+fn open(shard: &mut Shard, index: BlockIndex, stamp: u32, touched: &mut Vec<BlockIndex>) -> u32 {
+    let slot = shard.slot_or_insert(index);
+    if shard.touch(slot, stamp) {
+        touched.push(index);
     }
+    slot
+}
+
+/// The block that an address in a region belongs to.
+fn block_at(region: IVec3, address: usize) -> BlockIndex {
+    let b = (address / BLOCK_VOXELS) as i32;
+    BlockIndex(first_block(region).0 + IVec3::new(b & 3, b >> 2 & 3, b >> 4 & 3))
 }
 
 /// Updates the voxels of a line within a region.
