@@ -29,6 +29,7 @@ mod eigen;
 pub mod fuse;
 pub mod index;
 pub mod map;
+mod memory;
 pub mod mesh;
 pub mod normals;
 pub mod pose;

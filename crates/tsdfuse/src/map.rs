@@ -38,10 +38,10 @@ const MAX_BLOCK: u32 = (1 << 28) - 2;
 pub const SHARDS: usize = 64;
 
 /// Blocks come in regions, cubes of 4³ of them, that lie in one shard: by this many bits of a voxel's coordinates.
-pub(crate) const REGION_SHIFT: u32 = 5;
+pub(crate) const REGION_SHIFT: u32 = 6;
 
 /// Blocks in a region.
-pub(crate) const REGION_BLOCKS: usize = 64;
+pub(crate) const REGION_BLOCKS: usize = 512;
 
 /// Size of voxels and of the band around the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

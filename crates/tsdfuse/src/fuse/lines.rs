@@ -34,6 +34,7 @@ use super::{
 use crate::{
     index::{BLOCK_VOXELS, BlockIndex, GridPoint, ROUND, round},
     map::{REGION_BLOCKS, REGION_SHIFT, SHARDS, Shard, VoxelMap, shard_of},
+    memory::prefetch,
 };
 
 /// A line through `center` along the unit vector `axis`, whose voxels are updated with a weight.
@@ -183,7 +184,7 @@ impl Lines {
                     touched: Vec::new(),
                     stamp,
                     limit,
-                    queue: [Found::default(); QUEUE],
+                    queue: [Update::default(); QUEUE],
                     queued: 0,
                 };
                 let buckets = lanes.iter().map(|lane| &lane.buckets[s]);
@@ -197,11 +198,11 @@ impl Lines {
                 for (index, lines) in runs {
                     let slots = slots.entry(index).or_insert([CLOSED; REGION_BLOCKS]);
                     let mut region = Region { index, slots };
-                    dispatch!(level, simd => { for line in lines {
+                    dispatch!(level, simd => for line in lines {
                         update(simd, line, truncation, rule, &mut region, &mut writer);
-                    }
-                    writer.write(&mut region); });
+                    });
                 }
+                writer.write();
                 writer.touched
             })
             .collect();
@@ -282,27 +283,46 @@ fn reach(axis: Vec3, truncation: f32) -> Vec3 {
     axis.abs() * truncation + across * VOXEL_RADIUS + SLACK
 }
 
-/// Where the updates of a shard go. They are queued for some lines, so that many ways to memory are gone at once.
+/// Where the updates of a shard go. Between the time when it is known what they go to and the time when they are made, memory
+/// is fetched.
 struct Writer<'a> {
     shard: &'a mut Shard,
     touched: Vec<BlockIndex>,
     stamp: u32,
     limit: u32,
-    queue: [Found; QUEUE],
+    queue: [Update; QUEUE],
     queued: usize,
 }
 
-const QUEUE: usize = 8;
+/// Updates on their way: fewer than the nearest cache has lines, more than memory can be asked for at a time.
+const QUEUE: usize = 512;
+
+/// An update of a voxel.
+#[derive(Clone, Copy, Default)]
+struct Update {
+    /// The slot of its block in the shard, then its number in the block (9 bits).
+    place: u32,
+    weight: i32,
+    distance: i32,
+}
 
 /// Up to nine times eight voxels in a region.
-#[derive(Clone, Copy, Default)]
 struct Found {
     /// Which of them are updated: a bit for each, 64 first.
     updated: [u64; 2],
     /// The number of the block in the region, then of the voxel in the block (9 bits).
-    addresses: [[i32; 8]; 9],
-    weights: [[i32; 8]; 9],
-    distances: [[i32; 8]; 9],
+    addresses: [[i32; 8]; 16],
+    weights: [[i32; 8]; 16],
+    distances: [[i32; 8]; 16],
+}
+
+impl Found {
+    const NONE: Self = Self {
+        updated: [0; 2],
+        addresses: [[0; 8]; 16],
+        weights: [[0; 8]; 16],
+        distances: [[0; 8]; 16],
+    };
 }
 
 /// A region of the shard, and where its blocks are.
@@ -313,36 +333,43 @@ struct Region<'a> {
 
 impl Writer<'_> {
     #[inline(always)]
-    fn next(&mut self, region: &mut Region<'_>) -> &mut Found {
-        if self.queued == QUEUE {
-            self.write(region);
+    fn queue(&mut self, region: &mut Region<'_>, found: &Found) {
+        if self.queued > QUEUE - 72 {
+            self.write();
         }
-        self.queued += 1;
-        &mut self.queue[self.queued - 1]
+        let mut blocks = self.shard.blocks_mut();
+        let addresses = found.addresses.as_flattened();
+        let (weights, distances) = (found.weights.as_flattened(), found.distances.as_flattened());
+        for (k, mut left) in found.updated.into_iter().enumerate() {
+            while left != 0 {
+                let i = 64 * k + left.trailing_zeros() as usize % 64;
+                left &= left - 1;
+                let address = addresses[i] as usize;
+                let slot = &mut region.slots[address / BLOCK_VOXELS % REGION_BLOCKS];
+                if *slot as usize >= blocks.len() {
+                    let index = block_at(region.index, address);
+                    *slot = open(self.shard, index, self.stamp, &mut self.touched);
+                    blocks = self.shard.blocks_mut();
+                }
+                prefetch(&blocks[*slot as usize].voxels[address % BLOCK_VOXELS]);
+                self.queue[self.queued % QUEUE] = Update {
+                    place: *slot << 9 | (address % BLOCK_VOXELS) as u32,
+                    weight: weights[i],
+                    distance: distances[i],
+                };
+                self.queued += 1;
+            }
+        }
     }
 
     #[inline(always)]
-    fn write(&mut self, region: &mut Region<'_>) {
-        let mut blocks = self.shard.blocks_mut();
-        for found in &self.queue[..self.queued.min(QUEUE)] {
-            let addresses = found.addresses.as_flattened();
-            let (weights, distances) = (found.weights.as_flattened(), found.distances.as_flattened());
-            for (k, mut left) in found.updated.into_iter().enumerate() {
-                while left != 0 {
-                    let i = (64 * k + left.trailing_zeros() as usize) % 72;
-                    left &= left - 1;
-                    let address = addresses[i] as usize;
-                    let slot = &mut region.slots[address / BLOCK_VOXELS % REGION_BLOCKS];
-                    if *slot == CLOSED {
-                        let index = block_at(region.index, address);
-                        *slot = open(self.shard, index, self.stamp, &mut self.touched);
-                        blocks = self.shard.blocks_mut();
-                    }
-                    let voxel = &mut blocks[*slot as usize].voxels[address % BLOCK_VOXELS];
-                    voxel.add_sums(weights[i], distances[i]);
-                    voxel.limit(self.limit);
-                }
-            }
+    fn write(&mut self) {
+        let blocks = self.shard.blocks_mut();
+        for update in &self.queue[..self.queued.min(QUEUE)] {
+            let voxels = &mut blocks[update.place as usize / BLOCK_VOXELS].voxels;
+            let voxel = &mut voxels[update.place as usize % BLOCK_VOXELS];
+            voxel.add_sums(update.weight, update.distance);
+            voxel.limit(self.limit);
         }
         self.queued = 0;
     }
@@ -362,7 +389,7 @@ fn open(shard: &mut Shard, index: BlockIndex, stamp: u32, touched: &mut Vec<Bloc
 /// The block that an address in a region belongs to.
 fn block_at(region: IVec3, address: usize) -> BlockIndex {
     let b = (address / BLOCK_VOXELS) as i32;
-    BlockIndex(first_block(region).0 + IVec3::new(b & 3, b >> 2 & 3, b >> 4 & 3))
+    BlockIndex(first_block(region).0 + IVec3::new(b & 7, b >> 3 & 7, b >> 6 & 7))
 }
 
 /// Updates the voxels of a line within a region.
@@ -405,6 +432,7 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
     let reach = R::SHAPE.reach(axis[M], truncation);
     let mut plane = round(fraction[M] - reach).max(-center[M]);
     let last = round(fraction[M] + reach - 1.0).min(REGION_EDGE - 1 - center[M]);
+    let mut found = Found::NONE;
     while plane <= last {
         // Coordinates relative to the centre's voxel: of eight planes, of the first voxels beside the line there.
         let planes = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) + plane as f32;
@@ -418,12 +446,11 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
             Places::<S, U>::of(u + 2.0, fraction[U], axis[U], center[U]),
         ];
 
-        let found = writer.next(region);
         found.updated = [0; 2];
         for j in 0..wide_w {
             let w = Places::<S, W>::of(w + j as f32, fraction[W], axis[W], center[W]);
             for (i, u) in u[..wide_u].iter().enumerate() {
-                let k = (3 * j + i) % 9;
+                let k = 3 * j + i;
                 let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
                     let mut of = [m; 3];
                     (of[U], of[W]) = (u, w);
@@ -443,12 +470,13 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
                 let (weight, distance) = fixed_row(distance, weight);
                 let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
                 let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
-                found.updated[k / 8] |= updated.to_bitmask() << (8 * (k % 8));
-                found.addresses[k] = (m.address | u.address | w.address).into();
-                found.weights[k] = weight.into();
-                found.distances[k] = distance.into();
+                found.updated[k / 8 % 2] |= updated.to_bitmask() << (8 * (k % 8));
+                found.addresses[k % 16] = (m.address | u.address | w.address).into();
+                found.weights[k % 16] = weight.into();
+                found.distances[k % 16] = distance.into();
             }
         }
+        writer.queue(region, &found);
         plane += 8;
     }
 }
@@ -476,7 +504,7 @@ impl<S: Simd, const AXIS: usize> Places<S, AXIS> {
             along: offset * axis,
             square: offset * offset,
             coordinate,
-            address: ((coordinate >> 3) << (9 + 2 * AXIS as u32)) | ((coordinate & 7) << (3 * AXIS as u32)),
+            address: ((coordinate >> 3) << (9 + 3 * AXIS as u32)) | ((coordinate & 7) << (3 * AXIS as u32)),
         }
     }
 }

@@ -1,11 +1,12 @@
 //! Returns placed in the world: motion undone, every return with the ray it was measured along.
 
-use glam::Vec3;
+use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::FuseError;
 use crate::{
-    index::{Anchor, BLOCK_EDGE, Grid, GridPoint},
+    index::{Anchor, BLOCK_EDGE, Grid, GridPoint, round},
+    map::REGION_SHIFT,
     scan::Scan,
 };
 
@@ -33,8 +34,9 @@ pub(crate) struct Ray {
     pub(crate) range_m: f32,
 }
 
-/// Cells that a scan is sorted into.
-const CELLS: usize = 1 << 12;
+/// Regions that a scan is sorted into, and cells of all of them.
+const REGIONS: i32 = 1 << 7;
+const CELLS: usize = (REGIONS as usize) << 6;
 
 impl Placed {
     /// Places all returns of a scan, reusing this buffer.
@@ -63,16 +65,27 @@ impl Placed {
                     .collect_into_vec(&mut self.points);
             }
         }
-        self.sort(1.0 / (2.0 * f64::from(BLOCK_EDGE) * grid.voxel_size_m()) as f32);
+        self.sort(anchor, (1.0 / grid.voxel_size_m()) as f32);
         Ok(())
     }
 
-    /// Orders the returns by cells of 2³ blocks, which a counting sort takes in any order (and some as one).
-    fn sort(&mut self, cells_per_m: f32) {
+    /// Orders the returns by regions, and within them by cells of 2³ blocks, which a counting sort takes in any order (and some
+    /// as one).
+    fn sort(&mut self, anchor: Anchor, voxels_per_m: f32) {
+        let (voxel, fraction) = anchor.split();
+        let cell_edge = (2 * BLOCK_EDGE) as f32;
+        let scale = voxels_per_m / cell_edge;
+        // Within the anchor's region; rounding may move a return at a border to the next cell.
+        let start = ((voxel & ((1 << REGION_SHIFT) - 1)).as_vec3() + fraction.as_vec3()) / cell_edge - 0.5;
         let cell = |p: &Vec3| {
-            let c = (*p * cells_per_m).floor().as_ivec3();
-            let hash = c.x.wrapping_mul(73_856_093) ^ c.y.wrapping_mul(19_349_669) ^ c.z.wrapping_mul(83_492_791);
-            (hash & (CELLS as i32 - 1)) as u16
+            let c = *p * scale + start;
+            let c = IVec3::new(round(c.x), round(c.y), round(c.z));
+            let region: IVec3 = c >> 2;
+            let hash = region.x.wrapping_mul(73_856_093)
+                ^ region.y.wrapping_mul(19_349_669)
+                ^ region.z.wrapping_mul(83_492_791);
+            let within = c & 3;
+            ((hash & (REGIONS - 1)) << 6 | within.x | within.y << 2 | within.z << 4) as u16
         };
         self.points
             .par_iter()
