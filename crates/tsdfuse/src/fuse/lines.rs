@@ -508,3 +508,162 @@ impl<S: Simd, const AXIS: usize> Places<S, AXIS> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        fuse::{cylinder::tests::any_cylinder, normals::AlongNormal, raycast::Euclidean, raycast::Projective},
+        map::{MapConfig, Voxel, fixed},
+    };
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    /// Every voxel of a cube, tested one by one.
+    fn literal<S: Simd>(simd: S, line: &Line, truncation: f32, rule: &impl Rule) -> Vec<(IVec3, i32, i32)> {
+        let rule = rule.of(simd, line);
+        let reach = truncation.ceil() as i32 + 3;
+        let cube = || -reach..=reach;
+        let mut all = Vec::new();
+        for (x, y, z) in cube().flat_map(|x| cube().flat_map(move |y| cube().map(move |z| (x, y, z)))) {
+            let v = IVec3::new(x, y, z).as_vec3() + 0.5 - line.center.fraction;
+            let [x8, y8, z8] = v.to_array().map(|c| f32x8::splat(simd, c));
+            let (inside, distance, weight) = rule(&Row {
+                x: x8,
+                y: y8,
+                z: z8,
+                along: f32x8::splat(simd, v.x * line.axis.x + (v.y * line.axis.y + v.z * line.axis.z)),
+                distance2: f32x8::splat(simd, v.x * v.x + (v.y * v.y + v.z * v.z)),
+            });
+            if inside.all_true() {
+                let (weight, distance) = fixed(distance[0], weight[0]);
+                all.push((line.center.voxel + IVec3::new(x, y, z), weight, distance));
+            }
+        }
+        all
+    }
+
+    fn literal_sums(lines: &[Line], truncation: f32, rule: &impl Rule) -> BTreeMap<[i32; 3], Voxel> {
+        let mut sums = BTreeMap::<_, Voxel>::new();
+        for line in lines {
+            for (voxel, weight, distance) in dispatch!(Level::new(), simd => literal(simd, line, truncation, rule)) {
+                if weight > 0 {
+                    sums.entry(voxel.to_array()).or_default().add_sums(weight, distance);
+                }
+            }
+        }
+        sums
+    }
+
+    fn fused(level: Level, lines: &[Line], config: MapConfig, rule: &impl Rule) -> (VoxelMap, Integration) {
+        let mut map = VoxelMap::new(config).unwrap();
+        let all: Vec<u32> = (0..lines.len() as u32).collect();
+        let done = Lines::with(level).run(&mut map, &all, |i| Ok(lines[i]), rule);
+        (map, done)
+    }
+
+    fn sums_of(map: &VoxelMap) -> BTreeMap<[i32; 3], Voxel> {
+        let mut sums = BTreeMap::new();
+        for block in map.block_indices() {
+            for (i, voxel) in map.block(block).unwrap().voxels.iter().enumerate() {
+                if voxel.weight_sum > 0 {
+                    sums.insert(crate::index::voxel_at(block, i).to_array(), *voxel);
+                }
+            }
+        }
+        sums
+    }
+
+    fn with_truncation(truncation: f32) -> MapConfig {
+        MapConfig {
+            voxel_size_m: 0.125, // an exact number
+            truncation_m: f64::from(truncation) * 0.125,
+            ..Default::default()
+        }
+    }
+
+    fn check(lines: &[Line], truncation: f32, rule: &impl Rule) -> Result<(), TestCaseError> {
+        let (map, done) = fused(Level::new(), lines, with_truncation(truncation), rule);
+        prop_assert_eq!(sums_of(&map), literal_sums(lines, truncation, rule));
+        let mut touched = done.updated_blocks;
+        touched.sort();
+        prop_assert_eq!(touched, map.block_indices());
+        Ok(())
+    }
+
+    fn any_line() -> impl Strategy<Value = Line> {
+        (any_cylinder(Just(VOXEL_RADIUS)), 0.0..1.0f32).prop_map(|(c, weight)| Line {
+            center: c.center,
+            axis: c.axis,
+            weight,
+        })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(300))]
+        #[test]
+        fn updates_are_those_of_the_literal_test(
+            lines in proptest::collection::vec(any_line(), 1..12),
+            truncation in prop_oneof![1.0..9.0f32, Just(4.0), Just(8.0)],
+        ) {
+            check(&lines, truncation, &Euclidean { truncation })?;
+            check(&lines, truncation, &Projective { truncation })?;
+            check(&lines, truncation, &AlongNormal { truncation })?;
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(5))]
+        #[test]
+        fn long_lines_cross_many_regions(line in any_line(), truncation in 30.0..64.0f32) {
+            check(&[line], truncation, &Euclidean { truncation })?;
+            check(&[line], truncation, &AlongNormal { truncation })?;
+        }
+    }
+
+    /// The instructions that can be tried on this CPU, the plainest first.
+    fn levels() -> Vec<Level> {
+        let mut levels = vec![Level::fallback(), Level::baseline(), Level::new()];
+        #[cfg(target_arch = "x86_64")]
+        levels.extend(Level::new().as_avx2().map(Level::Avx2));
+        levels
+    }
+
+    proptest! {
+        #[test]
+        fn all_instructions_give_the_same_map(lines in proptest::collection::vec(any_line(), 1..30)) {
+            let rule = Euclidean { truncation: 4.0 };
+            let of = |level, lines: &[Line]| fused(level, lines, with_truncation(4.0), &rule).0;
+            let maps: Vec<VoxelMap> = levels().into_iter().map(|level| of(level, &lines)).collect();
+            prop_assert!(maps.iter().all(|map| *map == maps[0]));
+            // And the comparison would see one that is missing.
+            prop_assert!(of(Level::new(), &lines[1..]) != maps[0] || lines[0].weight < 1.0 / 32_768.0);
+        }
+    }
+
+    #[test]
+    fn the_weight_is_limited_and_the_distance_kept() {
+        let line = Line {
+            center: GridPoint {
+                voxel: IVec3::new(31, -1, 64),
+                fraction: Vec3::splat(0.25),
+            },
+            axis: Vec3::X,
+            weight: 0.3,
+        };
+        let limited = |max_weight| {
+            let config = MapConfig {
+                max_weight,
+                ..with_truncation(4.0)
+            };
+            sums_of(&fused(Level::new(), &[line; 100], config, &AlongNormal { truncation: 4.0 }).0)
+        };
+        let (few, all) = (limited(2.0), limited(1000.0));
+        assert!(few.keys().eq(all.keys()) && few.len() > 8);
+        for (few, all) in few.values().zip(all.values()) {
+            assert_eq!(few.weight(), 2.0);
+            assert!((all.weight() - 30.0).abs() < 0.01);
+            assert!((few.distance().unwrap() - all.distance().unwrap()).abs() < 1e-3);
+        }
+    }
+}

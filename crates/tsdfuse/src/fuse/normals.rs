@@ -100,8 +100,8 @@ impl Integrator for Normals {
     }
 }
 
-struct AlongNormal {
-    truncation: f32,
+pub(super) struct AlongNormal {
+    pub(super) truncation: f32,
 }
 
 impl Rule for AlongNormal {

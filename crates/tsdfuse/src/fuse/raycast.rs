@@ -109,8 +109,8 @@ fn along(placed: &Placed, i: usize) -> Result<Line, Skip> {
 }
 
 /// The thesis's form.
-struct Euclidean {
-    truncation: f32,
+pub(super) struct Euclidean {
+    pub(super) truncation: f32,
 }
 
 impl Rule for Euclidean {
@@ -130,8 +130,8 @@ impl Rule for Euclidean {
 }
 
 /// The related work's form.
-struct Projective {
-    truncation: f32,
+pub(super) struct Projective {
+    pub(super) truncation: f32,
 }
 
 impl Rule for Projective {

@@ -154,3 +154,29 @@ fn update(map: &mut VoxelMap, gather: &mut Gather<Disc>, discs: &[Disc]) -> Inte
         },
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fuse::cylinder::tests::any_cylinder;
+    use fearless_simd::Level;
+    use proptest::prelude::*;
+
+    fn updated(level: Level, discs: &[Disc]) -> VoxelMap {
+        let mut map = VoxelMap::new(MapConfig::default()).unwrap();
+        update(&mut map, &mut Gather::with(level), discs);
+        map
+    }
+
+    proptest! {
+        #[test]
+        fn all_instructions_give_the_same_map(
+            discs in proptest::collection::vec((any_cylinder(1.0..9.0f32), 0.01..1.0f32), 1..30),
+        ) {
+            let discs: Vec<Disc> = discs.into_iter().map(|(about, weight)| Disc { about, weight }).collect();
+            let plain = updated(Level::fallback(), &discs);
+            prop_assert!(updated(Level::new(), &discs) == plain);
+            prop_assert!(updated(Level::new(), &discs[1..]) != plain);
+        }
+    }
+}
