@@ -37,7 +37,7 @@ const MAX_BLOCK: u32 = (1 << 28) - 2;
 /// Parts of the block table.
 pub const SHARDS: usize = 64;
 
-/// Blocks come in regions, cubes of 4³ of them, that lie in one shard: by this many bits of a voxel's coordinates.
+/// Blocks come in regions, cubes of 8³ of them, that lie in one shard: by this many bits of a voxel's coordinates.
 pub(crate) const REGION_SHIFT: u32 = 6;
 
 /// Blocks in a region.

@@ -27,7 +27,7 @@ impl Centers {
 
     /// Calls `visit` with each row of the block, in order: the number of its first voxel, and the centres' coordinates, which
     /// compilers turn into vectors.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn for_each_row(&self, block: BlockIndex, mut visit: impl FnMut(usize, &Row)) {
         let first = self.rotation * self.anchor.offset_of(block.first_voxel());
         let step = self.rotation * self.voxel_size_m;

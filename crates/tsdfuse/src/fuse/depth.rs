@@ -11,6 +11,7 @@
 
 use std::time::Instant;
 
+use fearless_simd::{Simd, dispatch, f32x8, prelude::*};
 use glam::{Mat3, Vec3};
 
 use super::{
@@ -108,6 +109,7 @@ impl View {
     }
 
     /// Names the blocks on the line of sight of a pixel.
+    #[inline(always)]
     fn allocate(&self, pixel: usize, anchor: &Anchor, truncation: [f32; 2], near: &mut Near<()>) -> Result<(), Skip> {
         let depth = self.image.depths_m[pixel];
         let (row, column) = (pixel / self.camera.width as usize, pixel % self.camera.width as usize);
@@ -152,19 +154,20 @@ pub(super) fn integrate(map: &mut VoxelMap, anchor: Anchor, views: &[View], gath
         views.iter().zip(&centers).filter(seen)
     };
     let pixels: Vec<(&View, usize)> = views.iter().flat_map(|v| v.measured().map(move |p| (v, p))).collect();
+    let level = gather.level();
     gather.run(
         map,
         pixels.len(),
         |range, near| {
-            for (view, pixel) in &pixels[range] {
+            dispatch!(level, _ => for (view, pixel) in &pixels[range] {
                 let done = view.allocate(*pixel, &anchor, [truncation_m, config.truncation_vox()], near);
                 near.count(done);
-            }
+            });
         },
         |block| looking_at(block).next().is_some(),
         |block, _, updates| {
             for (view, centers) in looking_at(block) {
-                view.update(block, centers, truncation_m, updates);
+                dispatch!(level, simd => view.update(simd, block, centers, truncation_m, updates));
             }
         },
     )
@@ -172,21 +175,28 @@ pub(super) fn integrate(map: &mut VoxelMap, anchor: Anchor, views: &[View], gath
 
 impl View {
     /// Updates the voxels of a block.
-    fn update(&self, block: BlockIndex, centers: &Centers, truncation_m: f32, updates: &mut Updates) {
-        centers.for_each_row(block, |first, [x, y, z]| {
-            let mut seen = [[0.0; ROW]; 2];
-            let [at_column, at_row] = &mut seen;
-            for i in 0..ROW {
-                (at_column[i], at_row[i]) = self.camera.project(Vec3::new(x[i], y[i], z[i]));
-            }
-            for i in 0..ROW {
-                let pixel = self.camera.pixel_at((seen[0][i], seen[1][i]));
-                let depth = pixel.map_or(0.0, |pixel| self.image.depths_m[pixel]);
-                let eta = depth - x[i]; // (5.2)
-                if depth > 0.0 && eta >= -truncation_m {
-                    updates.add(first + i, eta / truncation_m, 1.0); // (5.3); the engine limits F to 1
+    #[inline(always)]
+    fn update<S: Simd>(&self, simd: S, block: BlockIndex, centers: &Centers, truncation_m: f32, updates: &mut Updates) {
+        centers.for_each_row(
+            block,
+            #[inline(always)]
+            |first, [x, y, z]| {
+                let mut seen = [[0.0; ROW]; 2];
+                let [at_column, at_row] = &mut seen;
+                for i in 0..ROW {
+                    (at_column[i], at_row[i]) = self.camera.project(Vec3::new(x[i], y[i], z[i]));
                 }
-            }
-        });
+                let mut depths_m = [0.0; ROW];
+                for i in 0..ROW {
+                    let pixel = self.camera.pixel_at((seen[0][i], seen[1][i]));
+                    depths_m[i] = pixel.map_or(0.0, |pixel| self.image.depths_m[pixel]);
+                }
+                let depth = f32x8::simd_from(simd, depths_m);
+                let eta = depth - f32x8::simd_from(simd, *x); // (5.2)
+                let inside = depth.simd_gt(0.0) & eta.simd_ge(-truncation_m);
+                let weight = f32x8::splat(simd, 1.0);
+                updates.add_row(first / ROW, inside, eta / truncation_m, weight); // (5.3); the engine limits F to 1
+            },
+        );
     }
 }

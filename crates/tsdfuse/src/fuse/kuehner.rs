@@ -13,7 +13,8 @@
 
 use std::time::Instant;
 
-use glam::{Mat3, Vec2, Vec3};
+use fearless_simd::{Simd, dispatch, f32x8, prelude::*};
+use glam::{Mat3, Vec3};
 
 use super::{
     FuseError, Integration, Integrator, Skipped,
@@ -70,17 +71,20 @@ impl Integrator for Kuehner {
             voxel_size_m: config.voxel_size_m as f32,
         };
         let image = &image;
+        let level = self.gather.level();
         let mut done = self.gather.run(
             map,
             image.projection.columns(),
             |columns, near| {
-                for column in columns {
+                dispatch!(level, _ => for column in columns {
                     let done = image.allocate(column, &anchor, world_from_sensor, &config, near);
                     near.count(done);
-                }
+                });
             },
             |_| false,
-            |block, _, updates| image.update(block, &centers, config.truncation_m as f32, updates),
+            |block, _, updates| {
+                dispatch!(level, simd => image.update(simd, block, &centers, config.truncation_m as f32, updates));
+            },
         );
         done.skipped = image.skipped;
         done.fused_returns = scan.points.len() as u64 - image.skipped.hidden - image.skipped.outside_image;
@@ -206,6 +210,7 @@ impl Image {
     }
 
     /// Names the blocks that may hold voxels of a column's pixels.
+    #[inline(always)]
     fn allocate(
         &self,
         column: usize,
@@ -257,34 +262,37 @@ impl Image {
     }
 
     /// Updates the voxels of a block.
-    fn update(&self, block: BlockIndex, centers: &Centers, truncation_m: f32, updates: &mut Updates) {
+    #[inline(always)]
+    fn update<S: Simd>(&self, simd: S, block: BlockIndex, centers: &Centers, truncation_m: f32, updates: &mut Updates) {
         let rows = self.projection.rows();
         let center_z = self.projection.center_z_m();
-        centers.for_each_row(block, |first, [x, y, z]| {
-            let mut seen = [[0.0; ROW]; 3];
-            let [at_column, at_row, at_depth] = &mut seen;
-            for i in 0..ROW {
-                let point = self.projection.project(Vec3::new(x[i], y[i], z[i])); // (4.1)-(4.3)
-                (at_column[i], at_row[i], at_depth[i]) = (point.column, point.row, point.depth_m);
-            }
-            for i in 0..ROW {
-                let seen = CylindricalPoint {
-                    column: seen[0][i],
-                    row: seen[1][i],
-                    depth_m: seen[2][i],
-                };
-                let Some((row, column)) = self.projection.pixel(seen) else {
-                    continue;
-                };
-                let depth = self.depths_m[column * rows + row];
-                if depth > 0.0 {
-                    let range = Vec2::new(seen.depth_m, z[i] - center_z).length();
-                    let distance = (depth - seen.depth_m) * (range / seen.depth_m);
-                    if distance.abs() <= truncation_m {
-                        updates.add(first + i, distance / truncation_m, (1.0 / range).min(1.0));
-                    }
+        centers.for_each_row(
+            block,
+            #[inline(always)]
+            |first, [x, y, z]| {
+                let mut seen = [[0.0; ROW]; 3];
+                let [at_column, at_row, at_depth] = &mut seen;
+                for i in 0..ROW {
+                    let point = self.projection.project(Vec3::new(x[i], y[i], z[i])); // (4.1)-(4.3)
+                    (at_column[i], at_row[i], at_depth[i]) = (point.column, point.row, point.depth_m);
                 }
-            }
-        });
+                let mut measured_m = [0.0; ROW];
+                for i in 0..ROW {
+                    let [column, row, depth_m] = [seen[0][i], seen[1][i], seen[2][i]];
+                    let pixel = self.projection.pixel(CylindricalPoint { column, row, depth_m });
+                    measured_m[i] = pixel.map_or(0.0, |(row, column)| self.depths_m[column * rows + row]);
+                }
+                if measured_m == [0.0; ROW] {
+                    return;
+                }
+                let [depth, measured, z] = [seen[2], measured_m, *z].map(|row| f32x8::simd_from(simd, row));
+                let height = z - center_z;
+                let range = (depth * depth + height * height).sqrt();
+                let distance = (measured - depth) * (range / depth);
+                let inside = measured.simd_gt(0.0) & distance.abs().simd_le(truncation_m);
+                let weight = (f32x8::splat(simd, 1.0) / range).min(1.0);
+                updates.add_row(first / ROW, inside, distance / truncation_m, weight);
+            },
+        );
     }
 }

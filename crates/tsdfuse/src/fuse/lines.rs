@@ -1,7 +1,7 @@
 //! Updating the voxels about thin lines: what raycasting and local normals do, a hundred thousand times a scan.
 //!
 //! ```text
-//!   returns ─┬─ lane 0 ─▶ lines, by the regions of 4³ blocks that they may reach into     pass 1: threads own lanes
+//!   returns ─┬─ lane 0 ─▶ lines, by the regions of 8³ blocks that they may reach into     pass 1: threads own lanes
 //!            └─ lane …
 //!   shard 0 ◀─ the lines of every lane, region by region ─▶ voxels of the map             pass 2: threads own shards
 //!   shard …
@@ -12,12 +12,15 @@
 //!
 //! - *finding these voxels.* Cut by the planes through voxel centres across its dominant axis, a cylinder of radius √3/2 shows
 //!   ellipses that reach at most 1.225 voxels from the line along either other axis. So its voxels are among the 3 × 3
-//!   around the one that the line meets, in eight planes at a time: nine steps for a vector of eight lanes;
-//! - *finding their blocks.* Within a region a voxel has an address of 15 bits, which the steps work out along the way; a table of
-//!   64 slots leads from there to its block. Blocks are looked up in the map once a scan;
-//! - *the way to memory.* Lines are sorted by place, so that a voxel's cache line is mostly near when the next one needs it.
+//!   around the one that the line meets, often 2 × 2: four to nine steps for eight planes, one in each lane of a vector;
+//! - *finding their blocks.* Within a region a voxel has an address of 18 bits, which the steps work out along the way; a table of
+//!   512 slots leads from there to its block. Blocks are looked up in the map once a scan;
+//! - *the way to memory.* Lines are sorted by place, so that a voxel's cache line is mostly near when the next one needs it; and
+//!   updates wait in a queue while the memory that they go to is fetched.
 //!
-//! No locks, no atomics, no `unsafe`. The same bits on any number of threads: sums are integers, lines come in one order, and a
+//! What each of these brought is told in `docs/performance.md`.
+//!
+//! No locks, no atomics. The same bits on any number of threads: sums are integers, lines come in one order, and a
 //! region is written by the thread that owns its shard.
 
 use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, prelude::*};
@@ -83,12 +86,13 @@ impl Shape {
     /// How many voxels side by side along axis `u`, in a plane across the dominant axis, the line may have: two or three.
     #[inline(always)]
     fn wide(self, [axis_m, axis_u, axis_w]: [f32; 3]) -> usize {
-        // Half the extent of a square pulled along by half a plane, or of an ellipse.
-        let half = match self {
-            Self::Pierced => 0.5 + 0.5 * axis_u.abs() / axis_m.abs(),
-            _ => VOXEL_RADIUS * (1.0 - axis_w * axis_w).max(0.0).sqrt() / axis_m.abs(),
+        // Whether half the extent of a square pulled along by half a plane, ½ + ½|a_u/a_m|, or of an ellipse, r√(1−a_w²)/|a_m|, is
+        // below 1, with some slack.
+        let below_one = match self {
+            Self::Pierced => axis_u.abs() < (1.0 - 2.0 * SLACK) * axis_m.abs(),
+            _ => 0.75 * (1.0 - axis_w * axis_w) < (1.0 - 2.0 * SLACK) * axis_m * axis_m,
         };
-        if half + SLACK < 1.0 { 2 } else { 3 }
+        if below_one { 2 } else { 3 }
     }
 }
 
@@ -97,6 +101,9 @@ const LANES: usize = 32;
 
 /// Voxels along the edge of a region.
 const REGION_EDGE: i32 = 1 << REGION_SHIFT;
+
+/// Bits of a block's coordinate within a region.
+const BLOCK_BITS: u32 = REGION_SHIFT - 3;
 
 /// Of voxel coordinates within a region, none of these is set.
 const BEYOND: i32 = !(REGION_EDGE - 1);
@@ -120,6 +127,8 @@ const CLOSED: u32 = u32::MAX;
 #[derive(Debug, Default)]
 struct Lane {
     buckets: Vec<Bucket>,
+    /// The region of the last line, and its shard.
+    last: Option<(IVec3, usize)>,
     counts: Counts,
 }
 
@@ -184,6 +193,7 @@ impl Lines {
                     touched: Vec::new(),
                     stamp,
                     limit,
+                    found: Found::NONE,
                     queue: [Update::default(); QUEUE],
                     queued: 0,
                 };
@@ -259,7 +269,12 @@ impl Lane {
 
     #[inline(always)]
     fn push_to(&mut self, region: IVec3, line: Line) {
-        let bucket = &mut self.buckets[shard_of(first_block(region))];
+        let shard = match self.last {
+            Some((last, shard)) if last == region => shard,
+            _ => shard_of(first_block(region)),
+        };
+        self.last = Some((region, shard));
+        let bucket = &mut self.buckets[shard];
         bucket.lines.push(line);
         let end = bucket.lines.len();
         match bucket.runs.last_mut() {
@@ -290,6 +305,7 @@ struct Writer<'a> {
     touched: Vec<BlockIndex>,
     stamp: u32,
     limit: u32,
+    found: Found,
     queue: [Update; QUEUE],
     queued: usize,
 }
@@ -306,7 +322,10 @@ struct Update {
     distance: i32,
 }
 
-/// Up to nine times eight voxels in a region.
+/// The most voxels that are found at a time: eight planes of 3 × 3.
+const FOUND: usize = 72;
+
+/// Voxels in a region.
 struct Found {
     /// Which of them are updated: a bit for each, 64 first.
     updated: [u64; 2],
@@ -333,11 +352,12 @@ struct Region<'a> {
 
 impl Writer<'_> {
     #[inline(always)]
-    fn queue(&mut self, region: &mut Region<'_>, found: &Found) {
-        if self.queued > QUEUE - 72 {
+    fn queue(&mut self, region: &mut Region<'_>) {
+        if self.queued > QUEUE - FOUND {
             self.write();
         }
         let mut blocks = self.shard.blocks_mut();
+        let found = &self.found;
         let addresses = found.addresses.as_flattened();
         let (weights, distances) = (found.weights.as_flattened(), found.distances.as_flattened());
         for (k, mut left) in found.updated.into_iter().enumerate() {
@@ -389,7 +409,8 @@ fn open(shard: &mut Shard, index: BlockIndex, stamp: u32, touched: &mut Vec<Bloc
 /// The block that an address in a region belongs to.
 fn block_at(region: IVec3, address: usize) -> BlockIndex {
     let b = (address / BLOCK_VOXELS) as i32;
-    BlockIndex(first_block(region).0 + IVec3::new(b & 7, b >> 3 & 7, b >> 6 & 7))
+    let b = IVec3::new(b, b >> BLOCK_BITS, b >> (2 * BLOCK_BITS)) & ((1 << BLOCK_BITS) - 1);
+    BlockIndex(first_block(region).0 + b)
 }
 
 /// Updates the voxels of a line within a region.
@@ -432,7 +453,6 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
     let reach = R::SHAPE.reach(axis[M], truncation);
     let mut plane = round(fraction[M] - reach).max(-center[M]);
     let last = round(fraction[M] + reach - 1.0).min(REGION_EDGE - 1 - center[M]);
-    let mut found = Found::NONE;
     while plane <= last {
         // Coordinates relative to the centre's voxel: of eight planes, of the first voxels beside the line there.
         let planes = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) + plane as f32;
@@ -446,6 +466,7 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
             Places::<S, U>::of(u + 2.0, fraction[U], axis[U], center[U]),
         ];
 
+        let found = &mut writer.found;
         found.updated = [0; 2];
         for j in 0..wide_w {
             let w = Places::<S, W>::of(w + j as f32, fraction[W], axis[W], center[W]);
@@ -476,7 +497,7 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
                 found.distances[k % 16] = distance.into();
             }
         }
-        writer.queue(region, &found);
+        writer.queue(region);
         plane += 8;
     }
 }
@@ -504,7 +525,7 @@ impl<S: Simd, const AXIS: usize> Places<S, AXIS> {
             along: offset * axis,
             square: offset * offset,
             coordinate,
-            address: ((coordinate >> 3) << (9 + 3 * AXIS as u32)) | ((coordinate & 7) << (3 * AXIS as u32)),
+            address: ((coordinate >> 3) << (9 + BLOCK_BITS * AXIS as u32)) | ((coordinate & 7) << (3 * AXIS as u32)),
         }
     }
 }

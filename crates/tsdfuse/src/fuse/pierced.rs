@@ -35,6 +35,7 @@ pub(crate) fn pierced<S: Simd>(axis: Vec3, row: &Row<S>) -> mask32x8<S> {
 
 impl Segment {
     /// Visits every block that the segment passes through.
+    #[inline(always)]
     pub(crate) fn for_each_block(&self, mut visit: impl FnMut(BlockIndex)) {
         let block = BlockIndex::of(self.center.voxel);
         let place = (self.center.voxel - block.first_voxel()).as_vec3() + self.center.fraction;
@@ -52,7 +53,7 @@ impl Segment {
     }
 
     /// Visits every cell that the line pierces within `reach` of the centre, by its place relative to the centre's cell.
-    #[inline]
+    #[inline(always)]
     fn walk(&self, reach: f32, mut visit: impl FnMut(Vec3A)) {
         let mut cell = [0.0_f32; 3];
         let mut step = [0.0_f32; 3];
@@ -97,7 +98,7 @@ impl Segment {
 }
 
 /// When the line crosses the border below cell `border` of one axis.
-#[inline]
+#[inline(always)]
 fn crossing(inverse: f32, border: f32, center: f32) -> f32 {
     (border - center) * inverse
 }

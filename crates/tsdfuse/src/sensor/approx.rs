@@ -60,7 +60,7 @@ pub fn atan2(y: f64, x: f64) -> f64 {
 }
 
 /// [`atan2`] in `f32`, within 4e-7 radians.
-#[inline]
+#[inline(always)]
 pub fn atan2_f32(y: f32, x: f32) -> f32 {
     let (ax, ay) = (x.abs(), y.abs());
     let t = ax.min(ay) / ax.max(ay).max(f32::MIN_POSITIVE);

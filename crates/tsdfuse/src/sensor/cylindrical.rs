@@ -110,7 +110,7 @@ impl Cylindrical {
     }
 
     /// Where a point (sensor frame, metres) is seen. Not finite for points that are not, and for points on the axis.
-    #[inline]
+    #[inline(always)]
     pub fn project(&self, point: Vec3) -> CylindricalPoint {
         let depth_m = (point.x * point.x + point.y * point.y).sqrt();
         let columns = self.columns() as f32;
@@ -129,18 +129,19 @@ impl Cylindrical {
     }
 
     /// The point (sensor frame, metres) at a depth that is seen at the centre of a pixel.
-    #[inline]
+    #[inline(always)]
     pub fn unproject(&self, row: usize, column: usize, depth_m: f32) -> Vec3 {
         self.direction(row as f32, self.towards[column]) * depth_m + Vec3::Z * self.center_z_m
     }
 
     /// From the centre of projection to depth 1 at a row.
-    #[inline]
+    #[inline(always)]
     fn direction(&self, row: f32, towards: Vec2) -> Vec3 {
         towards.extend(self.top - row * self.pitch)
     }
 
     /// The four corners of a pixel, as vectors from the centre of projection to depth 1.
+    #[inline(always)]
     pub(crate) fn corners(&self, row: usize, column: usize) -> [Vec3; 4] {
         let half = 0.5 * self.pitch;
         let towards = self.towards[column];
@@ -156,7 +157,7 @@ impl Cylindrical {
     }
 
     /// Row and column of the pixel that holds a point; `None` outside the image.
-    #[inline]
+    #[inline(always)]
     pub fn pixel(&self, point: CylindricalPoint) -> Option<(usize, usize)> {
         let (row, column) = (point.row + 0.5, point.column + 0.5);
         // Also false for NaN.

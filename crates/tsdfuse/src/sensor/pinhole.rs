@@ -121,7 +121,7 @@ impl Pinhole {
 
     /// Column and row at which a point in front of the camera (sensor frame) is seen, also outside the image; whole numbers
     /// are centres of pixels. Not finite for points beside or behind the camera.
-    #[inline]
+    #[inline(always)]
     pub fn project(&self, point: Vec3) -> (f32, f32) {
         let inverse = 1.0 / if point.x > 0.0 { point.x } else { 0.0 };
         (
@@ -131,13 +131,13 @@ impl Pinhole {
     }
 
     /// The pixel in which a point (sensor frame) is seen, numbered row by row; `None` outside the image.
-    #[inline]
+    #[inline(always)]
     pub fn pixel(&self, point: Vec3) -> Option<usize> {
         self.pixel_at(self.project(point))
     }
 
     /// The pixel that holds a place in the image, numbered row by row; `None` outside.
-    #[inline]
+    #[inline(always)]
     pub fn pixel_at(&self, (u, v): (f32, f32)) -> Option<usize> {
         // Also false for NaN.
         let inside = u >= -0.5 && v >= -0.5 && u < self.width as f32 - 0.5 && v < self.height as f32 - 0.5;
@@ -146,7 +146,7 @@ impl Pinhole {
     }
 
     /// The point at depth 1 (sensor frame) that is seen at column `u` and row `v`: the inverse of [`Pinhole::project`].
-    #[inline]
+    #[inline(always)]
     pub fn ray(&self, u: f32, v: f32) -> Vec3 {
         Vec3::new(1.0, (self.cx - u) / self.fx, (self.cy - v) / self.fy)
     }
