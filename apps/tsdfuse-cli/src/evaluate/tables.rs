@@ -149,7 +149,7 @@ pub(crate) fn of(results: &Results) -> Vec<Table> {
     let mut tables = vec![Table::new(
         "Distance to the reference",
         format!(
-            "Mesh of all {} scans → {}; protocol `{}`, {} samples. Hausdorff: the largest distance, one-sided. Back: from the \
+            "Mesh of all {} scans → {}; protocol {}, {} samples. Hausdorff: the largest distance, one-sided. Back: from the \
              reference's points to the mesh.",
             results.dataset.scans, reference.words, protocol.name, protocol.samples
         ),
