@@ -15,8 +15,8 @@ const PITCH_RAD: f64 = 0.65;
 /// How far the view turns away from looking straight across the map's long side.
 const OBLIQUE_RAD: f64 = 0.45;
 
-/// The share of the surface's blocks beyond each side of the box that is shown: a few far returns do not count.
-const BEYOND: f64 = 0.01;
+/// The share of the surface's blocks beyond each side of the box that is shown: what lies far out is sparse.
+const BEYOND: f64 = 0.08;
 
 /// The share of the image that stays free at its borders.
 const MARGIN: f64 = 0.04;
