@@ -204,10 +204,25 @@ impl Block {
     };
 }
 
+/// Of a block that is not there.
+const NO_SLOT: u32 = u32::MAX;
+
+/// The region of a block, and the block's number in it.
+#[inline(always)]
+fn in_region(BlockIndex(b): BlockIndex) -> (IVec3, usize) {
+    const BITS: u32 = REGION_SHIFT - 3;
+    let within = b & ((1 << BITS) - 1);
+    let number = within.x | within.y << BITS | within.z << (2 * BITS);
+    (b >> BITS, number as usize % REGION_BLOCKS)
+}
+
 /// One part of the block table.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Shard {
-    slots: HashMap<BlockIndex, u32, FxBuildHasher>,
+    /// The number of each region that holds a block.
+    regions: HashMap<IVec3, u32, FxBuildHasher>,
+    /// By region, the slots of its blocks, or [`NO_SLOT`]: neighbours are found without hashing, and near each other in memory.
+    slots: Vec<[u32; REGION_BLOCKS]>,
     indices: Vec<BlockIndex>,
     blocks: Vec<Block>,
     /// The integration that touched each block last.
@@ -218,12 +233,27 @@ impl Shard {
     /// The slot of a block, which is made if it is not there.
     #[inline]
     pub(crate) fn slot_or_insert(&mut self, index: BlockIndex) -> u32 {
-        *self.slots.entry(index).or_insert_with(|| {
+        let (region, block) = in_region(index);
+        let region = *self.regions.entry(region).or_insert_with(|| {
+            self.slots.push([NO_SLOT; REGION_BLOCKS]);
+            (self.slots.len() - 1) as u32
+        });
+        let slot = &mut self.slots[region as usize][block];
+        if *slot == NO_SLOT {
+            *slot = self.blocks.len() as u32;
             self.indices.push(index);
             self.blocks.push(Block::EMPTY);
             self.stamps.push(0);
-            (self.blocks.len() - 1) as u32
-        })
+        }
+        *slot
+    }
+
+    /// The slot of a block, if it is there.
+    #[inline]
+    fn slot(&self, index: BlockIndex) -> Option<u32> {
+        let (region, block) = in_region(index);
+        let slot = self.slots[*self.regions.get(&region)? as usize][block];
+        (slot != NO_SLOT).then_some(slot)
     }
 
     /// Notes that integration number `stamp` touched the block; true the first time.
@@ -295,7 +325,7 @@ impl VoxelMap {
             return Err(MapError::Voxel { block, number, voxel });
         }
         let shard = &mut self.shards[shard_of(index)];
-        if shard.slots.contains_key(&index) {
+        if shard.slot(index).is_some() {
             return Err(MapError::Occupied { block: index });
         }
         let slot = shard.slot_or_insert(index);
@@ -323,7 +353,7 @@ impl VoxelMap {
     #[inline]
     pub fn block(&self, index: BlockIndex) -> Option<&Block> {
         let shard = &self.shards[shard_of(index)];
-        shard.slots.get(&index).map(|&slot| &shard.blocks[slot as usize])
+        shard.slot(index).map(|slot| &shard.blocks[slot as usize])
     }
 
     /// The voxel with this index; the empty voxel where nothing was observed.
@@ -355,7 +385,10 @@ impl VoxelMap {
 
     /// Bytes held by blocks and their table.
     pub fn memory_bytes(&self) -> usize {
-        let shard = |s: &Shard| s.blocks.len() * size_of::<Block>() + s.slots.allocation_size() + s.blocks.len() * 16;
+        let shard = |s: &Shard| {
+            let table = s.regions.allocation_size() + s.slots.len() * size_of_val(&[NO_SLOT; REGION_BLOCKS]);
+            s.blocks.len() * (size_of::<Block>() + 16) + table
+        };
         self.shards.iter().map(shard).sum()
     }
 }
