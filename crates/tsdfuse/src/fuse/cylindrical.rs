@@ -10,11 +10,13 @@
 
 use std::time::Instant;
 
+use rayon::prelude::*;
+
 use super::{FuseError, Integration, Integrator, Raycast, Skipped, beams::Beams};
 use crate::{
     map::VoxelMap,
     scan::Scan,
-    sensor::{Cylindrical as Projection, NONE, SensorModel},
+    sensor::{Cylindrical as Projection, CylindricalPoint, NONE, SensorModel},
 };
 
 /// The integrator of cylindrical depth images.
@@ -23,6 +25,8 @@ pub struct Cylindrical {
     beams: Beams,
     /// Per pixel: the return seen in it, or [`NONE`].
     pixels: Vec<u32>,
+    /// Where each return is seen.
+    seen: Vec<CylindricalPoint>,
     raycast: Raycast,
 }
 
@@ -46,9 +50,10 @@ impl Cylindrical {
         self.pixels.clear();
         self.pixels.resize(image.rows() * image.columns(), NONE);
         let mut lost = Skipped::default();
-        let depth = |i: u32| image.project(scan.points[i as usize]).depth_m;
-        for (i, &point) in scan.points.iter().enumerate() {
-            let seen = image.project(point);
+        let points = scan.points.par_iter().with_min_len(1024);
+        points.map(|&p| image.project(p)).collect_into_vec(&mut self.seen);
+        let depth = |i: u32| self.seen[i as usize].depth_m;
+        for (i, &seen) in self.seen.iter().enumerate() {
             let Some((row, column)) = image.pixel(seen) else {
                 lost.outside_image += 1;
                 continue;
