@@ -9,6 +9,7 @@ use super::{CANCELLED, Cloud, Normal};
 use crate::sensor::approx::acos_f32;
 
 /// The normals of the returns from `first` on.
+#[inline(always)]
 pub(super) fn normals(cloud: &Cloud, first: usize, min_dot: f32, out: &mut [Normal]) {
     for (block, out) in out.chunks_mut(LANES).enumerate() {
         let first = first + block * LANES;
@@ -32,7 +33,7 @@ pub(super) fn normals(cloud: &Cloud, first: usize, min_dot: f32, out: &mut [Norm
 }
 
 /// From a return to its four neighbours; cyclic, so that two after another span an adjacent triangle [E3].
-#[inline]
+#[inline(always)]
 fn edges_of(cloud: &Cloud, i: usize) -> Option<[Vec3; 4]> {
     let (ring, column) = cloud.image.place_of(i)?;
     let (left, right) = cloud.beside(column);

@@ -19,6 +19,7 @@ mod lanes;
 #[cfg(test)]
 mod oracle;
 
+use fearless_simd::{Level, dispatch};
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -112,7 +113,10 @@ pub fn estimate(
     let parts = out.par_chunks_mut(PART).enumerate();
     match config.estimator {
         Estimator::Adjacent => {
-            parts.for_each(|(part, out)| adjacent::normals(&cloud, part * PART, config.min_dot, out));
+            let level = Level::new(); // the vector instructions of this CPU
+            parts.for_each(|(part, out)| {
+                dispatch!(level, _ => adjacent::normals(&cloud, part * PART, config.min_dot, out));
+            });
         }
         Estimator::Holz => {
             let faces = holz::faces(&cloud);
@@ -133,19 +137,19 @@ struct Cloud<'a> {
 
 impl Cloud<'_> {
     /// The return in a cell.
-    #[inline]
+    #[inline(always)]
     fn at(&self, ring: usize, column: usize) -> Option<Vec3> {
         self.points.get(self.image.get(ring, column)?).copied()
     }
 
     /// From the sensor to a return.
-    #[inline]
+    #[inline(always)]
     fn ray(&self, i: usize) -> Vec3 {
         self.points[i] - self.origins.get(i).copied().unwrap_or(Vec3::ZERO)
     }
 
     /// The columns on both sides of one.
-    #[inline]
+    #[inline(always)]
     fn beside(&self, column: usize) -> (usize, usize) {
         let last = self.image.columns() - 1;
         (

@@ -70,7 +70,7 @@ pub fn atan2_f32(y: f32, x: f32) -> f32 {
 }
 
 /// Arc cosine of `x`, which is clamped to [−1, 1]; radians in [0, π], within 5e-7; NaN for NaN.
-#[inline]
+#[inline(always)]
 pub fn acos_f32(x: f32) -> f32 {
     let ax = x.abs();
     let ax = if ax > 1.0 { 1.0 } else { ax };
