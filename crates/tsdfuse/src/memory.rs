@@ -14,7 +14,7 @@ pub(crate) fn prefetch<T>(value: &T) {
     // SAFETY: as above; it has no operands but the address and changes no flags and no memory.
     #[cfg(target_arch = "aarch64")]
     unsafe {
-        std::arch::asm!("prfm pstl1keep, [{}]", in(reg) value, options(nostack, readonly, preserves_flags));
+        std::arch::asm!("prfm pstl1keep, [{}]", in(reg) std::ptr::from_ref(value), options(nostack, readonly, preserves_flags));
     }
     #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
     let _ = value;
