@@ -43,6 +43,9 @@ pub(crate) const REGION_SHIFT: u32 = 6;
 /// Blocks in a region.
 pub(crate) const REGION_BLOCKS: usize = 512;
 
+/// Bits of a block's coordinate within its region.
+pub(crate) const REGION_BITS: u32 = REGION_SHIFT - 3;
+
 /// Size of voxels and of the band around the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -210,10 +213,16 @@ const NO_SLOT: u32 = u32::MAX;
 /// The region of a block, and the block's number in it.
 #[inline(always)]
 fn in_region(BlockIndex(b): BlockIndex) -> (IVec3, usize) {
-    const BITS: u32 = REGION_SHIFT - 3;
-    let within = b & ((1 << BITS) - 1);
-    let number = within.x | within.y << BITS | within.z << (2 * BITS);
-    (b >> BITS, number as usize % REGION_BLOCKS)
+    let within = b & ((1 << REGION_BITS) - 1);
+    let number = within.x | within.y << REGION_BITS | within.z << (2 * REGION_BITS);
+    (b >> REGION_BITS, number as usize % REGION_BLOCKS)
+}
+
+/// The block with a number in a region: the inverse of [`in_region`].
+pub(crate) fn block_of_region(region: IVec3, number: usize) -> BlockIndex {
+    let n = number as i32;
+    let within = IVec3::new(n, n >> REGION_BITS, n >> (2 * REGION_BITS)) & ((1 << REGION_BITS) - 1);
+    BlockIndex((region << REGION_BITS) + within)
 }
 
 /// One part of the block table.
@@ -256,10 +265,14 @@ impl Shard {
         (slot != NO_SLOT).then_some(slot)
     }
 
-    /// Notes that integration number `stamp` touched the block; true the first time.
+    /// The slot of a block that integration number `stamp` updates; the first time, the block is added to `touched`.
     #[inline]
-    pub(crate) fn touch(&mut self, slot: u32, stamp: u32) -> bool {
-        std::mem::replace(&mut self.stamps[slot as usize], stamp) != stamp
+    pub(crate) fn slot_to_update(&mut self, index: BlockIndex, stamp: u32, touched: &mut Vec<BlockIndex>) -> u32 {
+        let slot = self.slot_or_insert(index);
+        if std::mem::replace(&mut self.stamps[slot as usize], stamp) != stamp {
+            touched.push(index);
+        }
+        slot
     }
 
     /// The indices of all blocks, by slot.
@@ -407,9 +420,19 @@ impl PartialEq for VoxelMap {
 /// what touches one block and its neighbours mostly touches one shard.
 #[inline]
 pub(crate) fn shard_of(BlockIndex(b): BlockIndex) -> usize {
-    let b: IVec3 = b >> (REGION_SHIFT - 3);
-    let h = b.x.wrapping_mul(73_856_093) ^ b.y.wrapping_mul(19_349_669) ^ b.z.wrapping_mul(83_492_791);
-    h as usize % SHARDS
+    shard_of_region(b >> REGION_BITS)
+}
+
+/// As [`shard_of`], for all blocks of a region.
+#[inline]
+pub(crate) fn shard_of_region(region: IVec3) -> usize {
+    hash(region) as usize % SHARDS
+}
+
+/// The hash of (5.1).
+#[inline(always)]
+pub(crate) fn hash(v: IVec3) -> i32 {
+    v.x.wrapping_mul(73_856_093) ^ v.y.wrapping_mul(19_349_669) ^ v.z.wrapping_mul(83_492_791)
 }
 
 /// The fixed-point form of an update: weight (clamped to 0..=1; 0 is no update) and weighted distance (clamped to ±1).

@@ -35,7 +35,7 @@ pub(crate) const ROW: usize = BLOCK_EDGE as usize;
 pub(crate) const ROWS: usize = BLOCK_VOXELS / ROW;
 
 /// Pieces of a scan: enough to balance the load of many threads.
-const LANES: usize = 32;
+pub(super) const LANES: usize = 32;
 
 /// Why an item made no update.
 #[derive(Clone, Copy, Debug)]
@@ -62,9 +62,17 @@ impl Counts {
         }
     }
 
-    pub(super) fn add_to(&self, done: &mut Integration) {
-        done.skipped += self.skipped;
-        done.fused_returns += self.fused;
+    /// What an integration did that updated these blocks.
+    pub(super) fn sum<'a>(updated_blocks: Vec<BlockIndex>, all: impl Iterator<Item = &'a Self>) -> Integration {
+        let mut done = Integration {
+            updated_blocks,
+            ..Default::default()
+        };
+        for counts in all {
+            done.skipped += counts.skipped;
+            done.fused_returns += counts.fused;
+        }
+        done
     }
 }
 
@@ -132,12 +140,7 @@ impl<T: Item> Gather<T> {
                 writer.update_shard(shard, named, &visible, &update)
             })
             .collect();
-        let mut done = Integration {
-            updated_blocks: touched.concat(),
-            ..Default::default()
-        };
-        self.lanes.iter().for_each(|lane| lane.counts.add_to(&mut done));
-        done
+        Counts::sum(touched.concat(), self.lanes.iter().map(|lane| &lane.counts))
     }
 }
 
@@ -467,10 +470,7 @@ impl Writer {
                 updates.rows = 0;
                 return;
             }
-            let slot = shard.slot_or_insert(block);
-            if shard.touch(slot, self.stamp) {
-                touched.push(block);
-            }
+            let slot = shard.slot_to_update(block, self.stamp, &mut touched);
             let block = &mut shard.blocks_mut()[slot as usize];
             if dispatch!(self.level, _ => updates.move_to(block, self.limit)) {
                 shard.limit_weights(slot, self.limit);

@@ -32,11 +32,11 @@ use rustc_hash::FxBuildHasher;
 use super::{
     Integration,
     cylinder::{Row, SLACK, VOXEL_RADIUS},
-    gather::{Counts, Skip, fixed_row},
+    gather::{Counts, LANES, Skip, fixed_row},
 };
 use crate::{
     index::{BLOCK_VOXELS, BlockIndex, GridPoint, ROUND, round},
-    map::{REGION_BLOCKS, REGION_SHIFT, SHARDS, Shard, VoxelMap, shard_of},
+    map::{REGION_BITS, REGION_BLOCKS, REGION_SHIFT, SHARDS, Shard, VoxelMap, block_of_region, shard_of_region},
     memory::prefetch,
 };
 
@@ -70,7 +70,7 @@ pub(crate) enum Shape {
 }
 
 impl Shape {
-    /// How far from the centre voxels may lie along axis `m` of the grid.
+    /// How far from the centre voxels may lie along an axis of the grid, along which the line's axis is `axis_m`.
     #[inline(always)]
     fn reach(self, axis_m: f32, truncation: f32) -> f32 {
         let across = (1.0 - axis_m * axis_m).max(0.0).sqrt();
@@ -96,14 +96,8 @@ impl Shape {
     }
 }
 
-/// Pieces of a scan: enough to balance the load of many threads.
-const LANES: usize = 32;
-
 /// Voxels along the edge of a region.
 const REGION_EDGE: i32 = 1 << REGION_SHIFT;
-
-/// Bits of a block's coordinate within a region.
-const BLOCK_BITS: u32 = REGION_SHIFT - 3;
 
 /// Of voxel coordinates within a region, none of these is set.
 const BEYOND: i32 = !(REGION_EDGE - 1);
@@ -163,12 +157,12 @@ impl Lines {
 
     /// Makes a line of each of some items, or tells why there is none, and updates their voxels. It is faster if items that
     /// follow each other are neighbours.
-    pub(crate) fn run(
+    pub(crate) fn run<R: Rule>(
         &mut self,
         map: &mut VoxelMap,
         items: &[u32],
         make: impl Fn(usize) -> Result<Line, Skip> + Sync,
-        rule: &impl Rule,
+        rule: &R,
     ) -> Integration {
         let (stamp, limit) = map.begin_integration();
         let truncation = map.config().truncation_vox();
@@ -179,7 +173,7 @@ impl Lines {
                 let line = make(i as usize);
                 lane.counts.count(line.map(|_| ()));
                 if let Ok(line) = line {
-                    lane.push(line, truncation);
+                    lane.push(line, R::SHAPE, truncation);
                 }
             });
         });
@@ -216,12 +210,7 @@ impl Lines {
                 writer.touched
             })
             .collect();
-        let mut done = Integration {
-            updated_blocks: touched.concat(),
-            ..Default::default()
-        };
-        self.lanes.iter().for_each(|lane| lane.counts.add_to(&mut done));
-        done
+        Counts::sum(touched.concat(), self.lanes.iter().map(|lane| &lane.counts))
     }
 }
 
@@ -236,9 +225,14 @@ impl Lane {
 
     /// Puts a line to each region that it may reach into.
     #[inline(always)]
-    fn push(&mut self, line: Line, truncation: f32) {
+    fn push(&mut self, line: Line, shape: Shape, truncation: f32) {
         let GridPoint { voxel, fraction } = line.center;
-        let half_box = reach(line.axis, truncation);
+        let [x, y, z] = line.axis.to_array();
+        let half_box = Vec3::new(
+            shape.reach(x, truncation),
+            shape.reach(y, truncation),
+            shape.reach(z, truncation),
+        );
         let (low, high) = (fraction - half_box, fraction + half_box - 1.0);
         let first = (voxel + IVec3::new(round(low.x), round(low.y), round(low.z))) >> REGION_SHIFT;
         let last = (voxel + IVec3::new(round(high.x), round(high.y), round(high.z))) >> REGION_SHIFT;
@@ -271,7 +265,7 @@ impl Lane {
     fn push_to(&mut self, region: IVec3, line: Line) {
         let shard = match self.last {
             Some((last, shard)) if last == region => shard,
-            _ => shard_of(first_block(region)),
+            _ => shard_of_region(region),
         };
         self.last = Some((region, shard));
         let bucket = &mut self.buckets[shard];
@@ -282,20 +276,6 @@ impl Lane {
             _ => bucket.runs.push((region, end)),
         }
     }
-}
-
-/// The block with the lowest coordinates in a region.
-#[inline(always)]
-fn first_block(region: IVec3) -> BlockIndex {
-    BlockIndex::of(region << REGION_SHIFT)
-}
-
-/// How far the voxels of a line may be from its centre, along each axis of the grid.
-#[inline(always)]
-fn reach(axis: Vec3, truncation: f32) -> Vec3 {
-    let across = (Vec3::ONE - axis * axis).max(Vec3::ZERO);
-    let across = Vec3::new(across.x.sqrt(), across.y.sqrt(), across.z.sqrt());
-    axis.abs() * truncation + across * VOXEL_RADIUS + SLACK
 }
 
 /// Where the updates of a shard go. Between the time when it is known what they go to and the time when they are made, memory
@@ -367,7 +347,7 @@ impl Writer<'_> {
                 let address = addresses[i] as usize;
                 let slot = &mut region.slots[address / BLOCK_VOXELS % REGION_BLOCKS];
                 if *slot as usize >= blocks.len() {
-                    let index = block_at(region.index, address);
+                    let index = block_of_region(region.index, address / BLOCK_VOXELS);
                     *slot = open(self.shard, index, self.stamp, &mut self.touched);
                     blocks = self.shard.blocks_mut();
                 }
@@ -399,18 +379,7 @@ impl Writer<'_> {
 #[cold]
 #[inline(never)]
 fn open(shard: &mut Shard, index: BlockIndex, stamp: u32, touched: &mut Vec<BlockIndex>) -> u32 {
-    let slot = shard.slot_or_insert(index);
-    if shard.touch(slot, stamp) {
-        touched.push(index);
-    }
-    slot
-}
-
-/// The block that an address in a region belongs to.
-fn block_at(region: IVec3, address: usize) -> BlockIndex {
-    let b = (address / BLOCK_VOXELS) as i32;
-    let b = IVec3::new(b, b >> BLOCK_BITS, b >> (2 * BLOCK_BITS)) & ((1 << BLOCK_BITS) - 1);
-    BlockIndex(first_block(region).0 + b)
+    shard.slot_to_update(index, stamp, touched)
 }
 
 /// Updates the voxels of a line within a region.
@@ -525,7 +494,7 @@ impl<S: Simd, const AXIS: usize> Places<S, AXIS> {
             along: offset * axis,
             square: offset * offset,
             coordinate,
-            address: ((coordinate >> 3) << (9 + BLOCK_BITS * AXIS as u32)) | ((coordinate & 7) << (3 * AXIS as u32)),
+            address: ((coordinate >> 3) << (9 + REGION_BITS * AXIS as u32)) | ((coordinate & 7) << (3 * AXIS as u32)),
         }
     }
 }

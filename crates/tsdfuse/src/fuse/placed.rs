@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::FuseError;
 use crate::{
     index::{Anchor, BLOCK_EDGE, Grid, GridPoint, round},
-    map::REGION_SHIFT,
+    map::{REGION_SHIFT, hash},
     scan::Scan,
 };
 
@@ -81,11 +81,8 @@ impl Placed {
             let c = *p * scale + start;
             let c = IVec3::new(round(c.x), round(c.y), round(c.z));
             let region: IVec3 = c >> 2;
-            let hash = region.x.wrapping_mul(73_856_093)
-                ^ region.y.wrapping_mul(19_349_669)
-                ^ region.z.wrapping_mul(83_492_791);
             let within = c & 3;
-            ((hash & (REGIONS - 1)) << 6 | within.x | within.y << 2 | within.z << 4) as u16
+            ((hash(region) & (REGIONS - 1)) << 6 | within.x | within.y << 2 | within.z << 4) as u16
         };
         self.points
             .par_iter()
