@@ -149,6 +149,7 @@ impl Fusion {
                 read: read.read_secs,
                 prepare,
                 fuse: start.elapsed().as_secs_f64() - prepare,
+                find: done.find_secs,
                 points: scan.points.len() as u64 + scan.dropped.total(),
                 fused: done.fused_returns,
                 dropped: scan.dropped,

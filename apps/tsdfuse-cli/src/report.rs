@@ -83,6 +83,8 @@ pub(crate) struct Sums {
     pub(crate) prepare: f64,
     /// Updating the map.
     pub(crate) fuse: f64,
+    /// Of that, finding out which parts of the map returns reach into.
+    pub(crate) find: f64,
     pub(crate) points: u64,
     pub(crate) fused: u64,
     /// Not measurements.
@@ -152,6 +154,7 @@ impl std::ops::AddAssign<&Sums> for Sums {
         self.read += other.read;
         self.prepare += other.prepare;
         self.fuse += other.fuse;
+        self.find += other.find;
         self.points += other.points;
         self.fused += other.fused;
         self.dropped += other.dropped;

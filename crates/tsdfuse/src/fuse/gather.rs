@@ -16,6 +16,7 @@
 //! order, and blocks are made by the thread that owns their shard.
 
 use std::ops::Range;
+use std::time::Instant;
 
 use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, prelude::*};
 use hashbrown::HashMap;
@@ -63,9 +64,14 @@ impl Counts {
     }
 
     /// What an integration did that updated these blocks.
-    pub(super) fn sum<'a>(updated_blocks: Vec<BlockIndex>, all: impl Iterator<Item = &'a Self>) -> Integration {
+    pub(super) fn sum<'a>(
+        updated_blocks: Vec<BlockIndex>,
+        find_secs: f64,
+        all: impl Iterator<Item = &'a Self>,
+    ) -> Integration {
         let mut done = Integration {
             updated_blocks,
+            find_secs,
             ..Default::default()
         };
         for counts in all {
@@ -125,11 +131,13 @@ impl<T: Item> Gather<T> {
         visible: impl Fn(BlockIndex) -> bool + Sync,
         update: impl Fn(BlockIndex, &Items<'_, T>, &mut Updates) + Sync,
     ) -> Integration {
+        let start = Instant::now();
         let (stamp, limit) = map.begin_integration();
         self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
             lane.clear();
             name(items * k / LANES..items * (k + 1) / LANES, lane);
         });
+        let find_secs = start.elapsed().as_secs_f64();
         let lanes = &self.lanes;
         let level = self.level;
         let shards = map.shards.par_iter_mut().zip(&mut self.shards).enumerate();
@@ -140,7 +148,7 @@ impl<T: Item> Gather<T> {
                 writer.update_shard(shard, named, &visible, &update)
             })
             .collect();
-        Counts::sum(touched.concat(), self.lanes.iter().map(|lane| &lane.counts))
+        Counts::sum(touched.concat(), find_secs, self.lanes.iter().map(|lane| &lane.counts))
     }
 }
 

@@ -23,6 +23,8 @@
 //! No locks, no atomics. The same bits on any number of threads: sums are integers, lines come in one order, and a
 //! region is written by the thread that owns its shard.
 
+use std::time::Instant;
+
 use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, prelude::*};
 use glam::{IVec3, Vec3};
 use hashbrown::HashMap;
@@ -164,6 +166,7 @@ impl Lines {
         make: impl Fn(usize) -> Result<Line, Skip> + Sync,
         rule: &R,
     ) -> Integration {
+        let start = Instant::now();
         let (stamp, limit) = map.begin_integration();
         let truncation = map.config().truncation_vox();
         let level = self.level;
@@ -177,6 +180,7 @@ impl Lines {
                 }
             });
         });
+        let find_secs = start.elapsed().as_secs_f64();
         let lanes = &self.lanes;
         let shards = map.shards.par_iter_mut().zip(&mut self.shards).enumerate();
         let touched: Vec<Vec<BlockIndex>> = shards
@@ -210,7 +214,7 @@ impl Lines {
                 writer.touched
             })
             .collect();
-        Counts::sum(touched.concat(), self.lanes.iter().map(|lane| &lane.counts))
+        Counts::sum(touched.concat(), find_secs, self.lanes.iter().map(|lane| &lane.counts))
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! A method decides, for each return of a scan, which voxels it touches, with what signed distance and what weight. All
 //! else is shared: `placed` puts returns into the world (undoing motion), `cylinder` and `pierced` walk the voxels
-//! about or on a line, and `scatter` finds blocks, combines updates and spreads the work over threads.
+//! about or on a line, and the two engines, `lines` and `gather`, find blocks, write updates and spread the work over threads.
 
 mod beams;
 mod caminal;
@@ -172,6 +172,8 @@ pub struct Integration {
     pub skipped: Skipped,
     /// Wall time of the method's own preparation (placing returns, normals, …), in seconds.
     pub prepare_secs: f64,
+    /// Wall time of finding out which parts of the map returns reach into, in seconds.
+    pub find_secs: f64,
 }
 
 /// Returns that a method did not use, by reason.
