@@ -25,7 +25,7 @@
 
 use std::time::Instant;
 
-use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, prelude::*};
+use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, u32x8, prelude::*};
 use glam::{IVec3, Vec3};
 use hashbrown::HashMap;
 use rayon::prelude::*;
@@ -191,9 +191,7 @@ impl Lines {
                     touched: Vec::new(),
                     stamp,
                     limit,
-                    found: Found::NONE,
-                    queue: [Update::default(); QUEUE],
-                    queued: 0,
+                    queue: Queue::NEW,
                 };
                 let buckets = lanes.iter().map(|lane| &lane.buckets[s]);
                 let runs = buckets.flat_map(|b| {
@@ -282,51 +280,31 @@ impl Lane {
     }
 }
 
-/// Where the updates of a shard go. Between the time when it is known what they go to and the time when they are made, memory
-/// is fetched.
+/// Where the updates of a shard go: found, then asked for, then written. So memory is fetched while others are found.
 struct Writer<'a> {
     shard: &'a mut Shard,
     touched: Vec<BlockIndex>,
     stamp: u32,
     limit: u32,
-    found: Found,
-    queue: [Update; QUEUE],
-    queued: usize,
+    queue: Queue,
 }
 
-/// Updates on their way: fewer than the nearest cache has lines, more than memory can be asked for at a time.
+/// Updates on their way.
+struct Queue {
+    /// Of voxels found: number of the block in the region, then of the voxel in the block (9 bits). Of those asked for: the
+    /// block's slot in the shard instead of its number.
+    places: [u32; QUEUE],
+    /// Weight and weighted distance of each, in fixed point.
+    sums: [i32; 2 * QUEUE],
+    found: usize,
+    asked: usize,
+}
+
+/// Updates that are under way at most.
 const QUEUE: usize = 512;
-
-/// An update of a voxel.
-#[derive(Clone, Copy, Default)]
-struct Update {
-    /// The slot of its block in the shard, then its number in the block (9 bits).
-    place: u32,
-    weight: i32,
-    distance: i32,
-}
 
 /// The most voxels that are found at a time: eight planes of 3 × 3.
 const FOUND: usize = 72;
-
-/// Voxels in a region.
-struct Found {
-    /// Which of them are updated: a bit for each, 64 first.
-    updated: [u64; 2],
-    /// The number of the block in the region, then of the voxel in the block (9 bits).
-    addresses: [[i32; 8]; 16],
-    weights: [[i32; 8]; 16],
-    distances: [[i32; 8]; 16],
-}
-
-impl Found {
-    const NONE: Self = Self {
-        updated: [0; 2],
-        addresses: [[0; 8]; 16],
-        weights: [[0; 8]; 16],
-        distances: [[0; 8]; 16],
-    };
-}
 
 /// A region of the shard, and where its blocks are.
 struct Region<'a> {
@@ -334,48 +312,65 @@ struct Region<'a> {
     slots: &'a mut [u32; REGION_BLOCKS],
 }
 
-impl Writer<'_> {
+impl Queue {
+    const NEW: Self = Self {
+        places: [0; QUEUE],
+        sums: [0; 2 * QUEUE],
+        found: 0,
+        asked: 0,
+    };
+
+    /// Adds those of eight voxels that are updated. There must be room for eight.
     #[inline(always)]
-    fn queue(&mut self, region: &mut Region<'_>) {
-        if self.queued > QUEUE - FOUND {
-            self.write();
+    fn push<S: Simd>(
+        &mut self,
+        updated: mask32x8<S>,
+        address: i32x8<S>,
+        weight: i32x8<S>,
+        distance: i32x8<S>,
+    ) {
+        let n = self.found;
+        let (weight, distance) = (weight.compress(updated), distance.compress(updated));
+        if let (Some(places), Some(sums)) = (self.places.get_mut(n..n + 8), self.sums.get_mut(2 * n..2 * n + 16)) {
+            address.compress(updated).bitcast::<u32x8<S>>().store_slice(places);
+            weight.zip_low(distance).store_slice(&mut sums[..8]);
+            weight.zip_high(distance).store_slice(&mut sums[8..]);
         }
+        self.found = n + updated.to_bitmask().count_ones() as usize;
+    }
+}
+
+impl Writer<'_> {
+    /// Asks for the memory of what was found in a region.
+    #[inline(always)]
+    fn ask(&mut self, region: &mut Region<'_>) {
         let mut blocks = self.shard.blocks_mut();
-        let found = &self.found;
-        let addresses = found.addresses.as_flattened();
-        let (weights, distances) = (found.weights.as_flattened(), found.distances.as_flattened());
-        for (k, mut left) in found.updated.into_iter().enumerate() {
-            while left != 0 {
-                let i = 64 * k + left.trailing_zeros() as usize % 64;
-                left &= left - 1;
-                let address = addresses[i] as usize;
-                let slot = &mut region.slots[address / BLOCK_VOXELS % REGION_BLOCKS];
-                if *slot as usize >= blocks.len() {
-                    let index = block_of_region(region.index, address / BLOCK_VOXELS);
-                    *slot = open(self.shard, index, self.stamp, &mut self.touched);
-                    blocks = self.shard.blocks_mut();
-                }
-                prefetch(&blocks[*slot as usize].voxels[address % BLOCK_VOXELS]);
-                self.queue[self.queued % QUEUE] = Update {
-                    place: *slot << 9 | (address % BLOCK_VOXELS) as u32,
-                    weight: weights[i],
-                    distance: distances[i],
-                };
-                self.queued += 1;
+        let Queue { places, found, asked, .. } = &mut self.queue;
+        for place in &mut places[*asked..*found] {
+            let (block, voxel) = (*place as usize / BLOCK_VOXELS % REGION_BLOCKS, *place as usize % BLOCK_VOXELS);
+            let slot = &mut region.slots[block];
+            if *slot as usize >= blocks.len() {
+                let index = block_of_region(region.index, block);
+                *slot = open(self.shard, index, self.stamp, &mut self.touched);
+                blocks = self.shard.blocks_mut();
             }
+            prefetch(&blocks[*slot as usize].voxels[voxel]);
+            *place = *slot << 9 | voxel as u32;
         }
+        *asked = *found;
     }
 
-    #[inline(always)]
+    /// Makes the updates.
+    #[inline(never)]
     fn write(&mut self) {
-        let blocks = self.shard.blocks_mut();
-        for update in &self.queue[..self.queued.min(QUEUE)] {
-            let voxels = &mut blocks[update.place as usize / BLOCK_VOXELS].voxels;
-            let voxel = &mut voxels[update.place as usize % BLOCK_VOXELS];
-            voxel.add_sums(update.weight, update.distance);
-            voxel.limit(self.limit);
+        let (blocks, limit) = (self.shard.blocks_mut(), self.limit);
+        let Queue { places, sums, found, .. } = &mut self.queue;
+        for (i, &place) in places[..*found].iter().enumerate() {
+            let voxel = &mut blocks[place as usize / BLOCK_VOXELS].voxels[place as usize % BLOCK_VOXELS];
+            voxel.add_sums(sums[2 * i], sums[2 * i + 1]);
+            voxel.limit(limit);
         }
-        self.queued = 0;
+        (self.queue.found, self.queue.asked) = (0, 0);
     }
 }
 
@@ -439,12 +434,12 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
             Places::<S, U>::of(u + 2.0, fraction[U], axis[U], center[U]),
         ];
 
-        let found = &mut writer.found;
-        found.updated = [0; 2];
+        if writer.queue.found > QUEUE - FOUND {
+            writer.write();
+        }
         for j in 0..wide_w {
             let w = Places::<S, W>::of(w + j as f32, fraction[W], axis[W], center[W]);
-            for (i, u) in u[..wide_u].iter().enumerate() {
-                let k = 3 * j + i;
+            for u in &u[..wide_u] {
                 let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
                     let mut of = [m; 3];
                     (of[U], of[W]) = (u, w);
@@ -464,13 +459,11 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
                 let (weight, distance) = fixed_row(distance, weight);
                 let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
                 let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
-                found.updated[k / 8 % 2] |= updated.to_bitmask() << (8 * (k % 8));
-                found.addresses[k % 16] = (m.address | u.address | w.address).into();
-                found.weights[k % 16] = weight.into();
-                found.distances[k % 16] = distance.into();
+                let address = m.address | u.address | w.address;
+                writer.queue.push(updated, address, weight, distance);
             }
         }
-        writer.queue(region);
+        writer.ask(region);
         plane += 8;
     }
 }
