@@ -10,8 +10,6 @@
 
 use std::time::Instant;
 
-use rayon::prelude::*;
-
 use super::{FuseError, Integration, Integrator, Raycast, Skipped, beams::Beams};
 use crate::{
     map::VoxelMap,
@@ -50,8 +48,7 @@ impl Cylindrical {
         self.pixels.clear();
         self.pixels.resize(image.rows() * image.columns(), NONE);
         let mut lost = Skipped::default();
-        let points = scan.points.par_iter().with_min_len(1024);
-        points.map(|&p| image.project(p)).collect_into_vec(&mut self.seen);
+        image.project_all(&scan.points, |p| p, &mut self.seen);
         let depth = |i: u32| self.seen[i as usize].depth_m;
         for (i, &seen) in self.seen.iter().enumerate() {
             let Some((row, column)) = image.pixel(seen) else {

@@ -15,6 +15,7 @@ use std::time::Instant;
 
 use fearless_simd::{Simd, dispatch, f32x8, prelude::*};
 use glam::{Mat3, Vec3};
+use rayon::prelude::*;
 
 use super::{
     FuseError, Integration, Integrator, Skipped,
@@ -25,17 +26,21 @@ use super::{
     placed::Placed,
 };
 use crate::{
-    index::{Anchor, BlockIndex},
+    index::{Anchor, BLOCK_EDGE, BlockIndex},
     map::{MapConfig, VoxelMap},
     scan::Scan,
     sensor::{Cylindrical, CylindricalPoint, SensorModel, approx::sin_cos, rings_of},
 };
+
+/// Returns that one thread takes at a time.
+const PART: usize = 8192;
 
 /// The integrator of dense cylindrical depth images.
 #[derive(Debug, Default)]
 pub struct Kuehner {
     beams: Beams,
     placed: Placed,
+    seen: Vec<CylindricalPoint>,
     gather: Gather,
 }
 
@@ -60,7 +65,12 @@ impl Integrator for Kuehner {
         let rings = rings_of(scan, sensor);
         let world_from_sensor = world_axes(scan);
         let mut image = Image::new(scan, &rings, sensor);
-        image.render(&self.placed.points, world_from_sensor.transpose(), &rings);
+        let sensor_from_world = world_from_sensor.transpose();
+        let seen = &mut self.seen;
+        image
+            .projection
+            .project_all(&self.placed.points, |p| sensor_from_world * p, seen);
+        image.render(seen, &rings);
         image.fill();
         let prepare_secs = start.elapsed().as_secs_f64();
 
@@ -103,16 +113,27 @@ fn center_of_projection(points: &[Vec3], rings: &[u16], sensor: &SensorModel) ->
         (sin / cos, cos * cos)
     };
     let beams: Vec<(f64, f64)> = sensor.elevations_deg.iter().map(of_beam).collect();
-    let (mut heights, mut weights) = (0.0, 0.0);
-    for (point, &ring) in points.iter().zip(rings) {
-        let p = point.as_dvec3();
-        // Not true for NaN.
-        let valid = point.length() <= sensor.max_range_m;
-        if let Some((tan, cos2)) = beams.get(usize::from(ring)).filter(|_| valid) {
-            heights += cos2 * (p.z - p.x.hypot(p.y) * tan);
-            weights += cos2;
-        }
-    }
+    let sums = points
+        .par_chunks(PART)
+        .zip(rings.par_chunks(PART))
+        .map(|(points, rings)| {
+            let (mut heights, mut weights) = (0.0, 0.0);
+            for (point, &ring) in points.iter().zip(rings) {
+                let p = point.as_dvec3();
+                // Not true for NaN.
+                let valid = point.length() <= sensor.max_range_m;
+                if let Some((tan, cos2)) = beams.get(usize::from(ring)).filter(|_| valid) {
+                    heights += cos2 * (p.z - p.truncate().length() * tan);
+                    weights += cos2;
+                }
+            }
+            (heights, weights)
+        });
+    // Added in order, so that the result does not depend on who computed what.
+    let sums: Vec<(f64, f64)> = sums.collect();
+    let (heights, weights) = sums
+        .iter()
+        .fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1));
     if weights > 0.0 { (heights / weights) as f32 } else { 0.0 }
 }
 
@@ -159,10 +180,9 @@ impl Image {
         }
     }
 
-    /// Projects placed returns; the nearest of a pixel stays.
-    fn render(&mut self, placed: &[Vec3], sensor_from_world: Mat3, rings: &[u16]) {
-        for (&point, &ring) in placed.iter().zip(rings) {
-            let seen = self.projection.project(sensor_from_world * point);
+    /// Puts in where returns are seen; the nearest of a pixel stays.
+    fn render(&mut self, seen: &[CylindricalPoint], rings: &[u16]) {
+        for (&seen, &ring) in seen.iter().zip(rings) {
             let pixel = self
                 .projection
                 .pixel(seen)
@@ -184,29 +204,26 @@ impl Image {
     /// of the beams.
     fn fill(&mut self) {
         let rows = self.projection.rows();
-        let mut nearest = vec![(f32::INFINITY, 0.0); rows];
-        for (depths, rings) in self.depths_m.chunks_mut(rows).zip(self.rings.chunks(rows)) {
-            nearest.fill((f32::INFINITY, 0.0));
-            for measured in 0..rows {
-                let depth = depths[measured];
-                if depth == 0.0 {
-                    continue;
-                }
-                let [above, below] = self.reach[usize::from(rings[measured])];
-                let first = (measured as f32 - above).ceil().max(0.0) as usize;
-                let last = ((measured as f32 + below) as usize).min(rows - 1);
-                for (row, best) in nearest.iter_mut().enumerate().take(last + 1).skip(first) {
-                    let distance = measured.abs_diff(row) as f32;
-                    if distance < best.0 {
-                        *best = (distance, depth);
+        let columns = self.depths_m.par_chunks_mut(rows).zip(self.rings.par_chunks(rows));
+        let reach = &self.reach;
+        columns.with_min_len(64).for_each_init(
+            || vec![(f32::INFINITY, 0.0); rows],
+            |nearest, (depths, rings)| {
+                nearest.fill((f32::INFINITY, 0.0));
+                for (measured, &depth) in depths.iter().enumerate().filter(|(_, depth)| **depth > 0.0) {
+                    let [above, below] = reach[usize::from(rings[measured])];
+                    let first = (measured as f32 - above).ceil().max(0.0) as usize;
+                    let last = ((measured as f32 + below) as usize).min(rows - 1);
+                    for (row, best) in nearest.iter_mut().enumerate().take(last + 1).skip(first) {
+                        let distance = measured.abs_diff(row) as f32;
+                        if distance < best.0 {
+                            *best = (distance, depth);
+                        }
                     }
                 }
-            }
-            depths
-                .iter_mut()
-                .zip(&nearest)
-                .for_each(|(depth, best)| *depth = best.1);
-        }
+                depths.iter_mut().zip(nearest).for_each(|(depth, best)| *depth = best.1);
+            },
+        );
     }
 
     /// Names the blocks that may hold voxels of a column's pixels.
@@ -222,22 +239,26 @@ impl Image {
         let rows = self.projection.rows();
         let center = world_from_sensor * (Vec3::Z * self.projection.center_z_m());
         let truncation_m = config.truncation_m as f32;
-        let mut named = None;
-        for (row, &depth) in self.depths_m[column * rows..(column + 1) * rows].iter().enumerate() {
+        let block_m = BLOCK_EDGE as f32 * config.voxel_size_m as f32;
+        let depths = &self.depths_m[column * rows..(column + 1) * rows];
+        let (mut next, mut named) = (0, None);
+        while next < rows {
+            // Pixels of one depth, of at most the height of a block.
+            let (first, depth) = (next, depths[next]);
+            let most = 1 + (block_m / (depth * self.projection.pitch())).min(rows as f32) as usize;
+            let same = depths[first..].iter().take(most).take_while(|d| **d == depth);
+            next += same.count().max(1);
             if depth == 0.0 {
                 continue;
             }
-            let corners = self
-                .projection
-                .corners(row, column)
-                .map(|corner| world_from_sensor * corner);
-            // Depths at which a voxel's range differs by μ from the pixel's, at the flattest of its rays.
-            let flattest = corners.iter().map(|c| c.length()).fold(f32::INFINITY, f32::min);
-            let half = truncation_m / flattest;
-            let ends = corners
-                .iter()
-                .flat_map(|&c| [c * (depth - half).max(0.0), c * (depth + half)]);
-            let (low, high) = ends.fold((Vec3::MAX, Vec3::MIN), |(low, high), end| (low.min(end), high.max(end)));
+            // Where a voxel's range differs by μ from the pixel's, its depth differs by no more.
+            let (nearest, farthest) = ((depth - truncation_m).max(0.0), depth + truncation_m);
+            let (mut low, mut high) = (Vec3::MAX, Vec3::MIN);
+            for corner in self.projection.corners(first, next - 1, column) {
+                let corner = world_from_sensor * corner;
+                low = low.min(corner * nearest).min(corner * farthest);
+                high = high.max(corner * nearest).max(corner * farthest);
+            }
             // A column's arc bulges beyond its corners by less than this.
             let slack = Vec3::splat(depth * self.projection.pitch() * self.projection.pitch() + 1e-3 * truncation_m);
             let (Some(low), Some(high)) = (
@@ -264,7 +285,6 @@ impl Image {
     /// Updates the voxels of a block.
     #[inline(always)]
     fn update<S: Simd>(&self, simd: S, block: BlockIndex, centers: &Centers, truncation_m: f32, updates: &mut Updates) {
-        let rows = self.projection.rows();
         let center_z = self.projection.center_z_m();
         centers.for_each_row(
             block,
@@ -276,20 +296,21 @@ impl Image {
                     let point = self.projection.project(Vec3::new(x[i], y[i], z[i])); // (4.1)-(4.3)
                     (at_column[i], at_row[i], at_depth[i]) = (point.column, point.row, point.depth_m);
                 }
-                let mut measured_m = [0.0; ROW];
-                for i in 0..ROW {
-                    let [column, row, depth_m] = [seen[0][i], seen[1][i], seen[2][i]];
-                    let pixel = self.projection.pixel(CylindricalPoint { column, row, depth_m });
-                    measured_m[i] = pixel.map_or(0.0, |(row, column)| self.depths_m[column * rows + row]);
-                }
-                if measured_m == [0.0; ROW] {
+                let vector = |row: [f32; ROW]| f32x8::simd_from(simd, row);
+                let (depth, z) = (vector(*at_depth), vector(*z));
+                let (inside, pixels) = self.projection.pixels(vector(*at_column), vector(*at_row), depth);
+                if !inside.any_true() {
                     return;
                 }
-                let [depth, measured, z] = [seen[2], measured_m, *z].map(|row| f32x8::simd_from(simd, row));
+                let mut measured = [0.0; ROW];
+                for (measured, pixel) in measured.iter_mut().zip(pixels) {
+                    *measured = self.depths_m[pixel as usize];
+                }
+                let measured = f32x8::simd_from(simd, measured);
                 let height = z - center_z;
                 let range = (depth * depth + height * height).sqrt();
                 let distance = (measured - depth) * (range / depth);
-                let inside = measured.simd_gt(0.0) & distance.abs().simd_le(truncation_m);
+                let inside = inside & measured.simd_gt(0.0) & distance.abs().simd_le(truncation_m);
                 let weight = (f32x8::splat(simd, 1.0) / range).min(1.0);
                 updates.add_row(first / ROW, inside, distance / truncation_m, weight);
             },

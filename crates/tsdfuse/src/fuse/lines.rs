@@ -25,7 +25,7 @@
 
 use std::time::Instant;
 
-use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, u32x8, prelude::*};
+use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, prelude::*, u32x8};
 use glam::{IVec3, Vec3};
 use hashbrown::HashMap;
 use rayon::prelude::*;
@@ -322,13 +322,7 @@ impl Queue {
 
     /// Adds those of eight voxels that are updated. There must be room for eight.
     #[inline(always)]
-    fn push<S: Simd>(
-        &mut self,
-        updated: mask32x8<S>,
-        address: i32x8<S>,
-        weight: i32x8<S>,
-        distance: i32x8<S>,
-    ) {
+    fn push<S: Simd>(&mut self, updated: mask32x8<S>, address: i32x8<S>, weight: i32x8<S>, distance: i32x8<S>) {
         let n = self.found;
         let (weight, distance) = (weight.compress(updated), distance.compress(updated));
         if let (Some(places), Some(sums)) = (self.places.get_mut(n..n + 8), self.sums.get_mut(2 * n..2 * n + 16)) {
@@ -345,9 +339,14 @@ impl Writer<'_> {
     #[inline(always)]
     fn ask(&mut self, region: &mut Region<'_>) {
         let mut blocks = self.shard.blocks_mut();
-        let Queue { places, found, asked, .. } = &mut self.queue;
+        let Queue {
+            places, found, asked, ..
+        } = &mut self.queue;
         for place in &mut places[*asked..*found] {
-            let (block, voxel) = (*place as usize / BLOCK_VOXELS % REGION_BLOCKS, *place as usize % BLOCK_VOXELS);
+            let (block, voxel) = (
+                *place as usize / BLOCK_VOXELS % REGION_BLOCKS,
+                *place as usize % BLOCK_VOXELS,
+            );
             let slot = &mut region.slots[block];
             if *slot as usize >= blocks.len() {
                 let index = block_of_region(region.index, block);
@@ -364,7 +363,9 @@ impl Writer<'_> {
     #[inline(never)]
     fn write(&mut self) {
         let (blocks, limit) = (self.shard.blocks_mut(), self.limit);
-        let Queue { places, sums, found, .. } = &mut self.queue;
+        let Queue {
+            places, sums, found, ..
+        } = &mut self.queue;
         for (i, &place) in places[..*found].iter().enumerate() {
             let voxel = &mut blocks[place as usize / BLOCK_VOXELS].voxels[place as usize % BLOCK_VOXELS];
             voxel.add_sums(sums[2 * i], sums[2 * i + 1]);

@@ -14,11 +14,14 @@
 
 use std::f32::consts::TAU;
 
+use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, prelude::*};
 use glam::{Vec2, Vec3};
+use rayon::prelude::*;
 
 use super::SensorModel;
 use super::approx::{atan2_f32, sin_cos};
-use super::image::{PHASE_BINS, mean_phase};
+use super::image::{PART, PHASE_BINS, mean_phase};
+use crate::index::ROUND;
 
 /// A cylindrical image of w columns and h rows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -37,7 +40,7 @@ pub struct Cylindrical {
 }
 
 /// Where a point is seen in a [`Cylindrical`] image.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CylindricalPoint {
     /// In [−½, columns − ½).
     pub column: f32,
@@ -82,16 +85,20 @@ impl Cylindrical {
     /// How far a turn's firings are beyond the azimuths −2πj/columns on average, in columns: the phase with which returns fall
     /// into the middle of the columns.
     pub fn phase_of(points: &[Vec3], columns: u32) -> f32 {
-        let mut bins = [0; PHASE_BINS];
         let per_rad = columns as f32 / TAU;
-        for place in points
-            .iter()
-            .map(|p| -atan2_f32(p.y, p.x) * per_rad)
-            .filter(|p| p.is_finite())
-        {
-            bins[((place - place.floor()) * PHASE_BINS as f32) as usize % PHASE_BINS] += 1;
-        }
-        mean_phase(&bins)
+        let level = Level::new(); // the vector instructions of this CPU
+        let of_part = |points: &[Vec3]| {
+            let mut bins = [0; PHASE_BINS];
+            dispatch!(level, _ => for p in points {
+                let place = -atan2_f32(p.y, p.x) * per_rad;
+                if place.is_finite() {
+                    bins[((place - place.floor()) * PHASE_BINS as f32) as usize % PHASE_BINS] += 1;
+                }
+            });
+            bins
+        };
+        let add = |a: [u32; PHASE_BINS], b: [u32; PHASE_BINS]| std::array::from_fn(|k| a[k] + b[k]);
+        mean_phase(&points.par_chunks(PART).map(of_part).reduce(|| [0; PHASE_BINS], add))
     }
 
     /// Columns of the image.
@@ -128,6 +135,23 @@ impl Cylindrical {
         }
     }
 
+    /// Where each of some points is seen, once `to_sensor` has brought them into the sensor's frame.
+    pub(crate) fn project_all(
+        &self,
+        points: &[Vec3],
+        to_sensor: impl Fn(Vec3) -> Vec3 + Sync,
+        seen: &mut Vec<CylindricalPoint>,
+    ) {
+        seen.resize(points.len(), CylindricalPoint::default());
+        let level = Level::new();
+        let parts = points.par_chunks(PART).zip(seen.par_chunks_mut(PART));
+        parts.for_each(|(points, seen)| {
+            dispatch!(level, _ => for (&point, seen) in points.iter().zip(seen) {
+                *seen = self.project(to_sensor(point));
+            });
+        });
+    }
+
     /// The point (sensor frame, metres) at a depth that is seen at the centre of a pixel.
     #[inline(always)]
     pub fn unproject(&self, row: usize, column: usize, depth_m: f32) -> Vec3 {
@@ -140,15 +164,20 @@ impl Cylindrical {
         towards.extend(self.top - row * self.pitch)
     }
 
-    /// The four corners of a pixel, as vectors from the centre of projection to depth 1.
+    /// The four corners of a column's pixels from row `first` to row `last`, as vectors from the centre of projection to depth 1.
     #[inline(always)]
-    pub(crate) fn corners(&self, row: usize, column: usize) -> [Vec3; 4] {
+    pub(crate) fn corners(&self, first: usize, last: usize, column: usize) -> [Vec3; 4] {
         let half = 0.5 * self.pitch;
         let towards = self.towards[column];
         let left = (towards + towards.perp() * half).normalize();
         let right = (towards - towards.perp() * half).normalize();
-        let (above, below) = (row as f32 - 0.5, row as f32 + 0.5);
-        [(above, left), (above, right), (below, left), (below, right)].map(|(row, side)| self.direction(row, side))
+        let (above, below) = (first as f32 - 0.5, last as f32 + 0.5);
+        [
+            self.direction(above, left),
+            self.direction(above, right),
+            self.direction(below, left),
+            self.direction(below, right),
+        ]
     }
 
     /// The height of the centre of projection above the sensor's origin, metres.
@@ -163,6 +192,26 @@ impl Cylindrical {
         // Also false for NaN.
         let inside = row >= 0.0 && row < self.rows as f32 && column >= 0.0 && point.depth_m < f32::MAX;
         inside.then(|| (row as usize, (column as usize).min(self.columns() - 1)))
+    }
+}
+
+impl Cylindrical {
+    /// [`Self::pixel`] for eight points: whether they are inside, and the numbers of their pixels, column by column (0 outside).
+    #[inline(always)]
+    pub(crate) fn pixels<S: Simd>(
+        &self,
+        column: f32x8<S>,
+        row: f32x8<S>,
+        depth_m: f32x8<S>,
+    ) -> (mask32x8<S>, [i32; 8]) {
+        let (row, column) = (row + 0.5, column + 0.5);
+        let inside = row.simd_ge(0.0) & row.simd_lt(self.rows as f32) & column.simd_ge(0.0) & depth_m.simd_lt(f32::MAX);
+        // Exact: whole numbers below 2²², and pixels below [`MAX_PIXELS`].
+        let whole = |v: f32x8<S>| (v.floor() + ROUND).bitcast::<i32x8<S>>() - ROUND.to_bits() as i32;
+        let column = whole(column.min(self.columns() as f32 - 1.0));
+        let pixel = column * self.rows as i32 + whole(row);
+        let none = i32x8::splat(pixel.token(), 0);
+        (inside, inside.select(pixel, none).into())
     }
 }
 
@@ -210,7 +259,7 @@ mod tests {
             let p = Vec3::from(p);
             let seen = image.project(p);
             if let Some((row, column)) = image.pixel(seen) {
-                let corners = image.corners(row, column).map(|c| c * seen.depth_m + Vec3::Z * image.center_z_m());
+                let corners = image.corners(row, row, column).map(|c| c * seen.depth_m + Vec3::Z * image.center_z_m());
                 let (low, high) = (corners.into_iter().reduce(Vec3::min).unwrap(), corners.into_iter().reduce(Vec3::max).unwrap());
                 let slack = Vec3::splat(seen.depth_m * image.pitch() * 0.01 + 1e-4);
                 prop_assert!(p.cmpge(low - slack).all() && p.cmple(high + slack).all(), "{p} {low} {high}");

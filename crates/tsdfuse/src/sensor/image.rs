@@ -13,6 +13,7 @@
 
 use std::f32::consts::TAU;
 
+use fearless_simd::{Level, dispatch};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -23,7 +24,7 @@ use super::approx::{atan2_f32, sin_cos};
 pub const NONE: u32 = u32::MAX;
 
 /// Returns that one thread takes at a time.
-const PART: usize = 8192;
+pub(super) const PART: usize = 8192;
 
 /// Returns of one ring that are at most this far apart, in columns, are of one firing.
 const SAME_FIRING: f32 = 0.25;
@@ -150,15 +151,16 @@ impl ScanImage {
         let per_rad = columns / TAU;
         self.places.resize(points.len(), 0.0);
         let parts = points.par_chunks(PART).zip(self.places.par_chunks_mut(PART));
-        // A plain loop over slices, so that the compiler vectorises it.
+        let level = Level::new(); // the vector instructions of this CPU
         parts.for_each(|(points, places)| {
-            for (p, place) in points.iter().zip(places) {
+            // A plain loop over slices, so that the compiler vectorises it.
+            dispatch!(level, _ => for (p, place) in points.iter().zip(places) {
                 let column = -atan2_f32(p.y, p.x) * per_rad;
                 let column = if column < 0.0 { column + columns } else { column };
                 let size = p.x.abs() + p.y.abs() + p.z.abs();
                 // Adds 0, or NaN for what is not finite and for the zero vector.
                 *place = column + 0.0 * size / size;
-            }
+            });
         });
     }
 
