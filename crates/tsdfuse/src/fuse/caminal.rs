@@ -107,7 +107,7 @@ impl Integrator for Caminal {
                 world_from_sensor * Mat3::from_rotation_z(-TAU * k as f32 / self.config.cameras as f32);
             let camera_from_world = world_from_camera.transpose();
             let mut image = DepthImage::default();
-            image.render(&camera, placed.iter().map(|p| camera_from_world * *p));
+            image.render(&camera, placed, |p| camera_from_world * p);
             let (seen, hidden) = (placed.len() as u64 - image.outside, image.hidden);
             interpolate(&mut image.depths_m, camera.width as usize, rounds);
             (View::new(camera, world_from_camera, image), seen, hidden)

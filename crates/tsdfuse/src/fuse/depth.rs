@@ -50,7 +50,7 @@ impl Integrator for Depth {
         })?;
         camera.check().map_err(|e| wrong(e.to_string()))?;
         let anchor = anchor(map, scan)?;
-        self.image.render(&camera, scan.points.iter().copied());
+        self.image.render(&camera, &scan.points, |p| p);
         let (hidden, outside_image) = (self.image.hidden, self.image.outside);
         let views = [View::new(camera, world_axes(scan), std::mem::take(&mut self.image))];
         let prepare_secs = start.elapsed().as_secs_f64();
@@ -108,17 +108,32 @@ impl View {
         depths.filter(|(_, depth)| **depth > 0.0).map(|(pixel, _)| pixel)
     }
 
-    /// Names the blocks on the line of sight of a pixel.
+    /// Names the blocks on the line of sight of a pixel. `last` are the two blocks of a line that was named before.
     #[inline(always)]
-    fn allocate(&self, pixel: usize, anchor: &Anchor, truncation: [f32; 2], near: &mut Near<()>) -> Result<(), Skip> {
+    fn allocate(
+        &self,
+        pixel: usize,
+        anchor: &Anchor,
+        truncation: [f32; 2],
+        last: &mut Option<(BlockIndex, BlockIndex)>,
+        near: &mut Near<()>,
+    ) -> Result<(), Skip> {
         let depth = self.image.depths_m[pixel];
         let (row, column) = (pixel / self.camera.width as usize, pixel % self.camera.width as usize);
         let ray = self.world_from_camera * self.camera.ray(column as f32, row as f32);
         let length = ray.length();
         let [truncation_m, truncation_vox] = truncation;
         // All of it must lie within the grid.
-        for end in [depth - truncation_m, depth + truncation_m] {
-            anchor.locate(ray * end).ok_or(Skip::OutsideGrid)?;
+        let low = anchor.locate(ray * (depth - truncation_m)).ok_or(Skip::OutsideGrid)?;
+        let high = anchor.locate(ray * (depth + truncation_m)).ok_or(Skip::OutsideGrid)?;
+        // Between two blocks that are one or that share a face lies no other one.
+        let ends = (BlockIndex::of(low.voxel), BlockIndex::of(high.voxel));
+        if (ends.1.0 - ends.0.0).abs().element_sum() <= 1 {
+            if last.replace(ends) != Some(ends) {
+                near.block(ends.0, 0, ());
+                near.block(ends.1, 0, ());
+            }
+            return Ok(());
         }
         Segment {
             center: anchor.locate(ray * depth).ok_or(Skip::OutsideGrid)?,
@@ -159,8 +174,9 @@ pub(super) fn integrate(map: &mut VoxelMap, anchor: Anchor, views: &[View], gath
         map,
         pixels.len(),
         |range, near| {
+            let mut last = None;
             dispatch!(level, _ => for (view, pixel) in &pixels[range] {
-                let done = view.allocate(*pixel, &anchor, [truncation_m, config.truncation_vox()], near);
+                let done = view.allocate(*pixel, &anchor, [truncation_m, config.truncation_vox()], &mut last, near);
                 near.count(done);
             });
         },
@@ -186,14 +202,18 @@ impl View {
                 for i in 0..ROW {
                     (at_column[i], at_row[i]) = self.camera.project(Vec3::new(x[i], y[i], z[i]));
                 }
-                let mut depths_m = [0.0; ROW];
-                for i in 0..ROW {
-                    let pixel = self.camera.pixel_at((seen[0][i], seen[1][i]));
-                    depths_m[i] = pixel.map_or(0.0, |pixel| self.image.depths_m[pixel]);
+                let vector = |row: [f32; ROW]| f32x8::simd_from(simd, row);
+                let (inside, pixels) = self.camera.pixels_at(vector(*at_column), vector(*at_row));
+                if !inside.any_true() {
+                    return;
                 }
-                let depth = f32x8::simd_from(simd, depths_m);
-                let eta = depth - f32x8::simd_from(simd, *x); // (5.2)
-                let inside = depth.simd_gt(0.0) & eta.simd_ge(-truncation_m);
+                let mut depths_m = [0.0; ROW];
+                for (depth_m, pixel) in depths_m.iter_mut().zip(pixels) {
+                    *depth_m = self.image.depths_m[pixel as usize];
+                }
+                let depth = vector(depths_m);
+                let eta = depth - vector(*x); // (5.2)
+                let inside = inside & depth.simd_gt(0.0) & eta.simd_ge(-truncation_m);
                 let weight = f32x8::splat(simd, 1.0);
                 updates.add_row(first / ROW, inside, eta / truncation_m, weight); // (5.3); the engine limits F to 1
             },

@@ -21,7 +21,7 @@ use rayon::prelude::*;
 use super::SensorModel;
 use super::approx::{atan2_f32, sin_cos};
 use super::image::{PART, PHASE_BINS, mean_phase};
-use crate::index::ROUND;
+use super::pinhole::whole;
 
 /// A cylindrical image of w columns and h rows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -206,8 +206,6 @@ impl Cylindrical {
     ) -> (mask32x8<S>, [i32; 8]) {
         let (row, column) = (row + 0.5, column + 0.5);
         let inside = row.simd_ge(0.0) & row.simd_lt(self.rows as f32) & column.simd_ge(0.0) & depth_m.simd_lt(f32::MAX);
-        // Exact: whole numbers below 2²², and pixels below [`MAX_PIXELS`].
-        let whole = |v: f32x8<S>| (v.floor() + ROUND).bitcast::<i32x8<S>>() - ROUND.to_bits() as i32;
         let column = whole(column.min(self.columns() as f32 - 1.0));
         let pixel = column * self.rows as i32 + whole(row);
         let none = i32x8::splat(pixel.token(), 0);

@@ -1,6 +1,8 @@
 //! Depth images: what a pinhole camera sees of a cloud.
 
+use fearless_simd::{Level, dispatch};
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::Pinhole;
 
@@ -13,31 +15,46 @@ pub struct DepthImage {
     pub hidden: u64,
     /// Points that are not finite or lie outside the image.
     pub outside: u64,
+    /// Of each point: its pixel, and its depth.
+    seen: Vec<(u32, f32)>,
 }
 
 impl DepthImage {
-    /// Renders points (sensor frame, metres); the nearest point of a pixel stays.
+    /// Renders points, which `to_camera` brings into the camera's frame (metres); the nearest point of a pixel stays.
     ///
     /// An image that was turned into points, one at the centre of each pixel, comes back as it was.
-    pub fn render(&mut self, camera: &Pinhole, points: impl Iterator<Item = Vec3>) {
+    pub fn render(&mut self, camera: &Pinhole, points: &[Vec3], to_camera: impl Fn(Vec3) -> Vec3 + Sync) {
         self.depths_m.clear();
         self.depths_m.resize(camera.pixels(), 0.0);
         (self.hidden, self.outside) = (0, 0);
-        for point in points {
-            let Some(pixel) = camera.pixel(point).filter(|_| point.x < f32::MAX) else {
+        self.seen.resize(points.len(), (OUTSIDE, 0.0));
+        let level = Level::new(); // the vector instructions of this CPU
+        let parts = points.par_chunks(PART).zip(self.seen.par_chunks_mut(PART));
+        parts.for_each(|(points, seen)| {
+            dispatch!(level, _ => for (&point, seen) in points.iter().zip(seen) {
+                let point = to_camera(point);
+                let pixel = camera.pixel(point).filter(|_| point.x < f32::MAX);
+                *seen = (pixel.map_or(OUTSIDE, |pixel| pixel as u32), point.x);
+            });
+        });
+        for &(pixel, depth_m) in &self.seen {
+            let Some(depth) = self.depths_m.get_mut(pixel as usize) else {
                 self.outside += 1;
                 continue;
             };
-            let depth = &mut self.depths_m[pixel];
-            if *depth != 0.0 {
-                self.hidden += 1;
-            }
-            if *depth == 0.0 || point.x < *depth {
-                *depth = point.x;
+            self.hidden += u64::from(*depth != 0.0);
+            if *depth == 0.0 || depth_m < *depth {
+                *depth = depth_m;
             }
         }
     }
 }
+
+/// The pixel of points outside the image.
+const OUTSIDE: u32 = u32::MAX;
+
+/// Points that one thread takes at a time.
+const PART: usize = 8192;
 
 #[cfg(test)]
 mod tests {
@@ -52,7 +69,7 @@ mod tests {
         let points = depths.iter().enumerate().filter(|(_, d)| **d > 0.0);
         let points = points.map(|(i, d)| camera.ray((i % 64) as f32, (i / 64) as f32) * *d);
         let mut image = DepthImage::default();
-        image.render(&camera, points);
+        image.render(&camera, &points.collect::<Vec<_>>(), |p| p);
         assert_eq!(image.depths_m, depths);
         assert_eq!((image.hidden, image.outside), (0, 0));
     }
@@ -61,8 +78,8 @@ mod tests {
     fn the_nearest_point_of_a_pixel_stays() {
         let camera = Pinhole::with_fov(3, 3, 1.0);
         let mut image = DepthImage::default();
-        let points = [3.0, 2.0, 5.0].map(|depth| Vec3::X * depth);
-        image.render(&camera, points.into_iter().chain([-Vec3::X, Vec3::NAN]));
+        let points = [Vec3::X * 3.0, Vec3::X * 2.0, Vec3::X * 5.0, -Vec3::X, Vec3::NAN];
+        image.render(&camera, &points, |p| p);
         assert_eq!(image.depths_m, [0.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!((image.hidden, image.outside), (2, 2));
     }

@@ -10,8 +10,11 @@
 //! Intrinsics are those of OpenCV; frames are ours: a point (x, y, z) of the optical frame (right, down, forward) is
 //! (z, −x, −y) here.
 
+use fearless_simd::{Simd, f32x8, i32x8, mask32x8, prelude::*};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
+
+use crate::index::ROUND;
 
 /// The intrinsics of a pinhole camera without distortion, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -145,11 +148,29 @@ impl Pinhole {
         inside.then(|| (u + 0.5) as usize + (v + 0.5) as usize * self.width as usize)
     }
 
+    /// [`Self::pixel_at`] for eight places: whether they are inside, and the numbers of their pixels (0 outside).
+    #[inline(always)]
+    pub(crate) fn pixels_at<S: Simd>(&self, u: f32x8<S>, v: f32x8<S>) -> (mask32x8<S>, [i32; 8]) {
+        let inside = u.simd_ge(-0.5)
+            & v.simd_ge(-0.5)
+            & u.simd_lt(self.width as f32 - 0.5)
+            & v.simd_lt(self.height as f32 - 0.5);
+        let pixel = whole(u + 0.5) + whole(v + 0.5) * self.width as i32;
+        let none = i32x8::splat(pixel.token(), 0);
+        (inside, inside.select(pixel, none).into())
+    }
+
     /// The point at depth 1 (sensor frame) that is seen at column `u` and row `v`: the inverse of [`Pinhole::project`].
     #[inline(always)]
     pub fn ray(&self, u: f32, v: f32) -> Vec3 {
         Vec3::new(1.0, (self.cx - u) / self.fx, (self.cy - v) / self.fy)
     }
+}
+
+/// The largest whole numbers not above these, all within ±2²².
+#[inline(always)]
+pub(super) fn whole<S: Simd>(v: f32x8<S>) -> i32x8<S> {
+    (v.floor() + ROUND).bitcast::<i32x8<S>>() - ROUND.to_bits() as i32
 }
 
 #[cfg(test)]
