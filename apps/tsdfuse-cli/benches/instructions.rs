@@ -9,7 +9,7 @@ mod common;
 
 use std::hint::black_box;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 use common::{FORMS, camera, depth_images, sensor, street};
@@ -37,7 +37,11 @@ fn main() -> Result<()> {
 /// Counts what is asked for and prints a table.
 fn count(arguments: &[String]) -> Result<()> {
     let names = || FORMS.iter().map(|form| form.name).chain([MESH]);
-    let asked: Vec<&str> = arguments.iter().map(String::as_str).filter(|a| !a.starts_with('-')).collect();
+    let asked: Vec<&str> = arguments
+        .iter()
+        .map(String::as_str)
+        .filter(|a| !a.starts_with('-'))
+        .collect();
     if let Some(unknown) = asked.iter().find(|asked| !names().any(|name| name == **asked)) {
         bail!("no {unknown}; there are {}", names().collect::<Vec<_>>().join(", "));
     }
@@ -51,13 +55,17 @@ fn count(arguments: &[String]) -> Result<()> {
         "{}, one thread, scan {SCANS} of {SCANS} of a Pandar64 in the street; depth: of a depth camera in the hall\n",
         String::from_utf8_lossy(&version.stdout).trim()
     );
-    println!("{:<20} {:>15} {:>10} {:>10}", "", "instructions", "returns", "a return");
+    println!(
+        "{:<20} {:>15} {:>10} {:>10}  with",
+        "", "instructions", "returns", "a return"
+    );
     for name in names().filter(|name| asked.is_empty() || asked.contains(name)) {
         let depth = FORMS.iter().any(|form| form.name == name && form.wants_depth());
         let scans = if depth { &images } else { &sweeps };
         let (count, returns) = (counted(name, scans, folder.path())?, returns[usize::from(depth)]);
-        let each = count as f64 / returns as f64;
-        println!("{name:<20} {count:>15} {returns:>10} {each:>10.1}");
+        let Counted { instructions, vectors } = count;
+        let each = instructions as f64 / returns as f64;
+        println!("{name:<20} {instructions:>15} {returns:>10} {each:>10.1}  {vectors}");
     }
     Ok(())
 }
@@ -72,27 +80,42 @@ fn write(folder: &Path, scans: &[Scan]) -> Result<usize> {
 }
 
 /// The instructions of [`measured`] in a process of its own.
-fn counted(what: &str, scans: &Path, folder: &Path) -> Result<u64> {
+fn counted(what: &str, scans: &Path, folder: &Path) -> Result<Counted> {
     let out = folder.join("callgrind.out");
     let mut valgrind = Command::new("valgrind");
     valgrind.args(["--tool=callgrind", "--quiet", "--toggle-collect=*measured*"]);
     valgrind.arg(format!("--callgrind-out-file={}", out.display()));
     valgrind.arg(std::env::current_exe()?).args([COUNTED, what]).arg(scans);
-    let status = valgrind.stdout(Stdio::null()).status()?;
-    if !status.success() {
-        bail!("{what}: valgrind ended with {status}");
+    let done = valgrind.output()?;
+    if !done.status.success() {
+        let told = String::from_utf8_lossy(&done.stderr);
+        bail!("{what}: valgrind ended with {}: {}", done.status, told.trim());
     }
     let text = std::fs::read_to_string(&out).with_context(|| out.display().to_string())?;
     let total = text.lines().find_map(|line| line.strip_prefix("totals:"));
     let total = total.and_then(|total| total.trim().parse().ok());
-    total
-        .filter(|&total| total > 0)
-        .with_context(|| format!("{what}: valgrind has counted nothing"))
+    let total = total.filter(|&total| total > 0);
+    Ok(Counted {
+        instructions: total.with_context(|| format!("{what}: valgrind has counted nothing"))?,
+        vectors: String::from_utf8_lossy(&done.stdout).trim().to_owned(),
+    })
+}
+
+/// What valgrind told.
+struct Counted {
+    instructions: u64,
+    /// The vector instructions that were used.
+    vectors: String,
 }
 
 /// What is counted: all of it on this thread.
 fn work(what: &str, folder: &Path) -> Result<()> {
-    ThreadPoolBuilder::new().num_threads(1).use_current_thread().build_global()?;
+    ThreadPoolBuilder::new()
+        .num_threads(1)
+        .use_current_thread()
+        .build_global()?;
+    let vectors = format!("{:?}", fearless_simd::Level::new());
+    println!("{}", vectors.split('(').next().unwrap_or_default().to_uppercase());
     // The mesh is that of the map of the first method.
     let form = FORMS.iter().find(|form| form.name == what).unwrap_or(&FORMS[0]);
     let dataset = tsdfuse_io::open(folder)?;

@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use common::{FORMS, Form, depth_images, sensor, street};
-use criterion::{Criterion, Throughput};
+use criterion::measurement::WallTime;
+use criterion::{BenchmarkGroup, Criterion, SamplingMode, Throughput};
 use glam::Vec3;
 use tsdfuse::normals::{Estimator, NormalsConfig, estimate};
 use tsdfuse::sensor::ScanImage;
@@ -24,7 +25,7 @@ fn main() -> Result<()> {
     raycasting(&mut criterion, &sensor, &sweeps)?;
     normals(&mut criterion, &sensor, &sweeps[0]);
 
-    let mut group = criterion.benchmark_group("fuse");
+    let mut group = group(&mut criterion, "fuse");
     for form in &FORMS {
         let scans = if form.wants_depth() { &images } else { &sweeps };
         group.throughput(Throughput::Elements(scans[0].points.len() as u64));
@@ -35,7 +36,7 @@ fn main() -> Result<()> {
     }
     group.finish();
 
-    let mut group = criterion.benchmark_group("mesh");
+    let mut group = group(&mut criterion, "mesh");
     group.throughput(Throughput::Elements(returns));
     for form in FORMS.iter().filter(|form| form.name.starts_with("raycast")) {
         let map = Fusing::warm(form, &sensor, &sweeps)?.map;
@@ -46,10 +47,17 @@ fn main() -> Result<()> {
     Ok(())
 }
 
+/// Samples of as many scans each: a scan takes long.
+fn group<'a>(criterion: &'a mut Criterion, name: &str) -> BenchmarkGroup<'a, WallTime> {
+    let mut group = criterion.benchmark_group(name);
+    group.sampling_mode(SamplingMode::Flat);
+    group
+}
+
 /// The stages of raycasting.
 fn raycasting(criterion: &mut Criterion, sensor: &SensorModel, sweeps: &[Scan]) -> Result<()> {
     type Secs = fn(&Integration) -> f64;
-    let mut group = criterion.benchmark_group("raycast");
+    let mut group = group(criterion, "raycast");
     let stages: [(&str, Secs); 2] = [
         ("place and sort", |done| done.prepare_secs),
         ("find regions", |done| done.find_secs),
@@ -70,7 +78,7 @@ fn normals(criterion: &mut Criterion, sensor: &SensorModel, sweep: &Scan) {
     let rotation = sweep.pose.rotation.as_quat();
     let points: Vec<Vec3> = sweep.points.iter().map(|p| rotation * *p).collect();
     let mut image = ScanImage::new();
-    let mut group = criterion.benchmark_group("normals");
+    let mut group = group(criterion, "normals");
     group.throughput(Throughput::Elements(points.len() as u64));
     group.bench_function("image", |b| b.iter(|| image.update(&sweep.points, rings, sensor)));
     for (name, estimator) in [("adjacent", Estimator::Adjacent), ("holz", Estimator::Holz)] {

@@ -86,7 +86,7 @@ fn compare(args: &Args) -> Result<Outcome> {
     for _ in 1..args.runs {
         for method in &mut measured {
             method.run(&settings, &indices)?;
-            }
+        }
     }
     for method in &mut measured {
         method.count(&settings, &dataset, &indices)?;
@@ -111,7 +111,11 @@ fn compare(args: &Args) -> Result<Outcome> {
         print(&table::of(&results))?;
     }
     let complete = results.methods.iter().all(Method::is_complete);
-    Ok(if complete { Outcome::Complete } else { Outcome::ScansSkipped })
+    Ok(if complete {
+        Outcome::Complete
+    } else {
+        Outcome::ScansSkipped
+    })
 }
 
 /// The settings, with a simulated data set where none is named; it vanishes with its folder.

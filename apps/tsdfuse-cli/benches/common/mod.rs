@@ -16,14 +16,14 @@ const SENSOR: &str = "pandar64";
 const MAX_DEPTH_M: f64 = 5.0;
 
 /// A method with settings of its own.
-pub struct Form {
-    pub name: &'static str,
+pub(crate) struct Form {
+    pub(crate) name: &'static str,
     method: Method,
     set: fn(&mut FuseConfig),
 }
 
 /// All that fuse scan by scan.
-pub const FORMS: [Form; 11] = [
+pub(crate) const FORMS: [Form; 11] = [
     form("raycast", Method::Raycast, |_| ()),
     form("raycast-projective", Method::Raycast, |config| {
         config.raycast.distance = Distance::Projective;
@@ -49,12 +49,12 @@ const fn form(name: &'static str, method: Method, set: fn(&mut FuseConfig)) -> F
 
 impl Form {
     /// Whether it wants images of a depth camera.
-    pub fn wants_depth(&self) -> bool {
+    pub(crate) fn wants_depth(&self) -> bool {
         self.method == Method::Depth
     }
 
     /// An integrator and its empty map: voxels of 5 cm, and 2 cm for the depth camera.
-    pub fn start(&self, sensor: &SensorModel) -> Result<(Box<dyn Integrator>, VoxelMap)> {
+    pub(crate) fn start(&self, sensor: &SensorModel) -> Result<(Box<dyn Integrator>, VoxelMap)> {
         let mut config = FuseConfig::default();
         (self.set)(&mut config);
         let map = match self.wants_depth() {
@@ -70,27 +70,29 @@ impl Form {
 }
 
 /// The sensor's model.
-pub fn sensor() -> Result<SensorModel> {
+pub(crate) fn sensor() -> Result<SensorModel> {
     tsdfuse::sensor::model(SENSOR).context("the sensor is not known")
 }
 
 /// Sweeps in the street, a metre apart.
-pub fn street(scans: usize) -> Result<Vec<Scan>> {
+pub(crate) fn street(scans: usize) -> Result<Vec<Scan>> {
     let scene = scene::by_name("street", 0).context("the street cannot be built")?;
     let path = path::default_for(&scene, scans);
     let simulator = Simulator::new(scene, sensor()?, path, SimulatorConfig::default())?;
     let mut scans: Vec<Scan> = simulator.scans().collect();
-    scans.iter_mut().for_each(|scan| scan.drop_invalid(&RangeLimits::default()));
+    scans
+        .iter_mut()
+        .for_each(|scan| scan.drop_invalid(&RangeLimits::default()));
     Ok(scans)
 }
 
 /// What the depth camera looks through.
-pub fn camera() -> Pinhole {
+pub(crate) fn camera() -> Pinhole {
     Pinhole::with_fov(640, 480, 1.0)
 }
 
 /// Noise-free images of a depth camera that is carried through the hall.
-pub fn depth_images(scans: usize) -> Result<Vec<Scan>> {
+pub(crate) fn depth_images(scans: usize) -> Result<Vec<Scan>> {
     let scene = scene::by_name("hall", 0).context("the hall cannot be built")?;
     let path = path::by_name("handheld", &scene, scans).context("the path is not known")?;
     let camera = camera();

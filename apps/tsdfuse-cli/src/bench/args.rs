@@ -54,7 +54,9 @@ impl Args {
                 return Err(Usage::new("--long-drive is for one method").into());
             }
             if !self.is_simulated() || self.settings.scans.is_some() {
-                return Err(Usage::new("--long-drive simulates its own scans: no data set and no --scans with it").into());
+                return Err(
+                    Usage::new("--long-drive simulates its own scans: no data set and no --scans with it").into(),
+                );
             }
         }
         Ok(())

@@ -67,9 +67,9 @@ impl Changes {
 }
 
 /// At most `count` pieces of nearly the same length.
-fn pieces(indices: &[usize], count: usize) -> impl Iterator<Item = &[usize]> {
-    let count = count.min(indices.len());
-    (0..count).map(move |i| &indices[i * indices.len() / count..(i + 1) * indices.len() / count])
+pub(super) fn pieces<T>(all: &[T], count: usize) -> impl Iterator<Item = &[T]> {
+    let count = count.min(all.len());
+    (0..count).map(move |i| &all[i * all.len() / count..(i + 1) * all.len() / count])
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -112,7 +112,11 @@ impl Counts {
         let mut counts = Self::default();
         for (row, voxels) in new.voxels.chunks(ROW).enumerate() {
             let old = |i: usize| old.map_or(Voxel::default(), |old| old.voxels[ROW * row + i]);
-            let changed = voxels.iter().enumerate().filter(|(i, voxel)| **voxel != old(*i)).count();
+            let changed = voxels
+                .iter()
+                .enumerate()
+                .filter(|(i, voxel)| **voxel != old(*i))
+                .count();
             counts.voxels += changed;
             counts.lines += usize::from(changed > 0);
         }
@@ -164,6 +168,6 @@ mod tests {
             assert_eq!(pieces.len(), count.min(29));
             assert!(pieces.iter().all(|piece| !piece.is_empty()));
         }
-        assert_eq!(pieces(&[], 3).count(), 0);
+        assert_eq!(pieces::<usize>(&[], 3).count(), 0);
     }
 }

@@ -65,7 +65,11 @@ fn stages(method: &Method) -> String {
     let mut text = format!(
         "{:<18} {:>24} {:>9} {:>7}\n",
         method.name,
-        if runs == 1 { "s".to_owned() } else { format!("s, median of {runs} runs") },
+        if runs == 1 {
+            "s".to_owned()
+        } else {
+            format!("s, median of {runs} runs")
+        },
         "ms/scan",
         "share"
     );
