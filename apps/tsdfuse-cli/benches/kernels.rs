@@ -25,7 +25,7 @@ fn main() -> Result<()> {
     raycasting(&mut criterion, &sensor, &sweeps)?;
     normals(&mut criterion, &sensor, &sweeps[0]);
 
-    let mut group = group(&mut criterion, "fuse");
+    let mut group = series(&mut criterion, "fuse");
     for form in &FORMS {
         let scans = if form.wants_depth() { &images } else { &sweeps };
         group.throughput(Throughput::Elements(scans[0].points.len() as u64));
@@ -36,7 +36,7 @@ fn main() -> Result<()> {
     }
     group.finish();
 
-    let mut group = group(&mut criterion, "mesh");
+    let mut group = series(&mut criterion, "mesh");
     group.throughput(Throughput::Elements(returns));
     for form in FORMS.iter().filter(|form| form.name.starts_with("raycast")) {
         let map = Fusing::warm(form, &sensor, &sweeps)?.map;
@@ -48,7 +48,7 @@ fn main() -> Result<()> {
 }
 
 /// Samples of as many scans each: a scan takes long.
-fn group<'a>(criterion: &'a mut Criterion, name: &str) -> BenchmarkGroup<'a, WallTime> {
+fn series<'a>(criterion: &'a mut Criterion, name: &str) -> BenchmarkGroup<'a, WallTime> {
     let mut group = criterion.benchmark_group(name);
     group.sampling_mode(SamplingMode::Flat);
     group
@@ -57,7 +57,7 @@ fn group<'a>(criterion: &'a mut Criterion, name: &str) -> BenchmarkGroup<'a, Wal
 /// The stages of raycasting.
 fn raycasting(criterion: &mut Criterion, sensor: &SensorModel, sweeps: &[Scan]) -> Result<()> {
     type Secs = fn(&Integration) -> f64;
-    let mut group = group(criterion, "raycast");
+    let mut group = series(criterion, "raycast");
     let stages: [(&str, Secs); 2] = [
         ("place and sort", |done| done.prepare_secs),
         ("find regions", |done| done.find_secs),
@@ -78,7 +78,7 @@ fn normals(criterion: &mut Criterion, sensor: &SensorModel, sweep: &Scan) {
     let rotation = sweep.pose.rotation.as_quat();
     let points: Vec<Vec3> = sweep.points.iter().map(|p| rotation * *p).collect();
     let mut image = ScanImage::new();
-    let mut group = group(criterion, "normals");
+    let mut group = series(criterion, "normals");
     group.throughput(Throughput::Elements(points.len() as u64));
     group.bench_function("image", |b| b.iter(|| image.update(&sweep.points, rings, sensor)));
     for (name, estimator) in [("adjacent", Estimator::Adjacent), ("holz", Estimator::Holz)] {
