@@ -36,7 +36,7 @@ pub(crate) struct Args {
     #[arg(long)]
     pub(super) json: bool,
     /// Drive on and on through a simulated street instead, N scans of a VLP-16, and tell whether a scan takes longer as the map
-    /// grows. Voxels are of 10 cm unless --voxel-size or --set says otherwise.
+    /// grows. Voxels are of 12.5 cm unless --voxel-size or --set says otherwise.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(20..=1_000_000))]
     pub(super) long_drive: Option<u32>,
     #[command(flatten)]

@@ -17,8 +17,8 @@ const SENSOR: &str = "pandar64";
 
 /// Voxels of a long drive, whose map is to fit into memory.
 const COARSE: MapConfig = MapConfig {
-    voxel_size_m: 0.1,
-    truncation_m: 0.4,
+    voxel_size_m: 0.125,
+    truncation_m: 0.5,
     max_weight: tsdfuse::map::MAX_WEIGHT,
 };
 
