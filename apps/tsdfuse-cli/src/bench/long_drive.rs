@@ -188,10 +188,11 @@ fn table(results: &Results) -> String {
     let secs: Vec<f64> = passes.iter().flat_map(|pass| &pass.scan_secs).copied().collect();
     let ms = |secs: &[f64]| 1e3 * median(secs.to_vec());
     let mut text = format!(
-        "{}, {} threads, {}, {}\n{} scans of a {SENSOR} in a simulated street that comes again and again, {}, voxels of {} m\n\n\
+        "{}, {} thread{}, {}, {}\n{} scans of a {SENSOR} in a simulated street that comes again and again, {}, voxels of {} m\n\n\
          ms a scan, medians: first ten {:.2}, first hundred {:.2}, last hundred {:.2}; slowest {:.2}\n",
         machine.processor.as_deref().unwrap_or(machine.system),
         machine.threads,
+        if machine.threads == 1 { "" } else { "s" },
         machine.simd,
         machine.date,
         HumanCount(secs.len() as u64),
@@ -231,8 +232,8 @@ fn table(results: &Results) -> String {
     let [first, .., last] = &rows[..] else { return text };
     let growth = mean(&fastest(last)) / mean(&fastest(first));
     text + &format!(
-        "\nEach pass of {PASS} scans does the same work in a new street. First scan, first ten and all: each scan of a pass the fastest of its row, so \
-         that other work on the machine counts little. Last row to first: {growth:.3}.\n"
+        "\nEach pass of {PASS} scans does the same work in a new street. First scan, first ten and all: each scan of a pass the\n\
+         fastest of its row, so that other work on the machine counts little. Last row to first: {growth:.3}.\n"
     )
 }
 
