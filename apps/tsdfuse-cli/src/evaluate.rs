@@ -2,12 +2,12 @@
 
 mod args;
 mod child;
-mod forms;
+pub(crate) mod forms;
 mod page;
 mod pictures;
 mod plots;
 mod reference;
-mod results;
+pub(crate) mod results;
 mod tables;
 mod tune;
 
@@ -28,6 +28,7 @@ pub(crate) use args::Args;
 
 use crate::config::{RunConfig, Suggested};
 use crate::exit::{Outcome, Usage, one_line};
+use crate::machine::Machine;
 use crate::progress::{self, note, say};
 use crate::report::{print, print_json};
 use crate::settings::split;
@@ -35,7 +36,7 @@ use child::{FuseReport, Skipped, Wanted};
 use forms::Form;
 use pictures::{Gallery, Views};
 use reference::Chosen;
-use results::{Data, Machine, Results, Row, Speed};
+use results::{Data, Results, Row, Speed};
 use tables::Table;
 
 /// One of so many scans is held out, unless that is asked for otherwise.

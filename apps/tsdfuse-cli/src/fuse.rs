@@ -8,12 +8,12 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use indicatif::ProgressBar;
 use tsdfuse::scan::RangeLimits;
-use tsdfuse::{Integrator, Scan, VoxelMap};
+use tsdfuse::{Integrator, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::{Dataset, ReadScan};
 
 pub(crate) use args::Args;
 
-use crate::config::Suggested;
+use crate::config::{RunConfig, Suggested};
 use crate::exit::{Outcome, one_line};
 use crate::mesh::surface;
 use crate::progress::{self, say};
@@ -22,7 +22,7 @@ use crate::report::{
     DatasetReport, FinishReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, left_out,
     peak_memory_bytes, print_json,
 };
-use crate::settings::split;
+use crate::settings::{Settings, split};
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let start = Instant::now();
@@ -35,16 +35,9 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let suggested = Suggested::by(&dataset);
     let config = layers.resolve(&suggested)?;
 
-    let mut fusion = Fusion {
-        dataset: settings.dataset.clone(),
-        integrator: config.method.build(&config.methods(), suggested.sensor.as_ref()),
-        map: VoxelMap::new(config.map)?,
-        range: config.range,
-        scans: Vec::new(),
-        skipped: Vec::new(),
-    };
+    let mut fusion = Fusion::new(settings, &config, suggested.sensor.as_ref())?;
     let fusing = Instant::now();
-    fusion.fuse_all(&dataset, indices, args)?;
+    fusion.fuse_all(&dataset, indices)?;
     let finish = fusion.finish();
     let fusing_seconds = fusing.elapsed().as_secs_f64();
     let save = |path| SavedMap::write(&fusion.map, path);
@@ -97,29 +90,60 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
 }
 
 /// A map that grows scan by scan, and what became of each scan.
-struct Fusion {
+pub(crate) struct Fusion {
     /// The data set's path, for messages.
     dataset: PathBuf,
+    skip_bad: bool,
     integrator: Box<dyn Integrator>,
-    map: VoxelMap,
+    pub(crate) map: VoxelMap,
     range: RangeLimits,
-    scans: Vec<ScanReport>,
-    skipped: Vec<SkippedScan>,
+    pub(crate) scans: Vec<ScanReport>,
+    pub(crate) skipped: Vec<SkippedScan>,
 }
 
 impl Fusion {
+    /// An empty map.
+    pub(crate) fn new(settings: &Settings, config: &RunConfig, sensor: Option<&SensorModel>) -> Result<Self> {
+        Ok(Self {
+            dataset: settings.dataset.clone(),
+            skip_bad: settings.skip_bad,
+            integrator: config.method.build(&config.methods(), sensor),
+            map: VoxelMap::new(config.map)?,
+            range: config.range,
+            scans: Vec::new(),
+            skipped: Vec::new(),
+        })
+    }
+
     /// Fuses the scans in order; one that cannot be used ends the run, unless it may be skipped.
-    fn fuse_all(&mut self, dataset: &Dataset, indices: Vec<usize>, args: &Args) -> Result<()> {
+    ///
+    /// # Errors
+    /// Also if none of all the scans could be fused.
+    pub(crate) fn fuse_all(&mut self, dataset: &Dataset, indices: Vec<usize>) -> Result<()> {
+        self.fuse_some(dataset, indices)?;
+        self.check()
+    }
+
+    /// Fuses more scans; that none of them could be fused is no error yet.
+    pub(crate) fn fuse_some(&mut self, dataset: &Dataset, indices: Vec<usize>) -> Result<()> {
         let bar = progress::scans("fusing", indices.len());
-        for read in dataset.iter_indices(indices) {
-            let index = read.index;
-            match self.fuse(read) {
+        let mut reading = dataset.iter_indices(indices);
+        loop {
+            let waiting = Instant::now();
+            let Some(read) = reading.next() else { break };
+            let (index, wait) = (read.index, waiting.elapsed().as_secs_f64());
+            match self.fuse(read, wait) {
                 Ok(scan) => self.scans.push(scan),
-                Err(error) if args.settings.skip_bad => self.skip(&dataset.scans()[index].name, one_line(&error), &bar),
+                Err(error) if self.skip_bad => self.skip(&dataset.scans()[index].name, one_line(&error), &bar),
                 Err(error) => return Err(error),
             }
             bar.inc(1);
         }
+        Ok(())
+    }
+
+    /// Whether anything was fused.
+    fn check(&self) -> Result<()> {
         let data = self.dataset.display();
         if self.scans.is_empty() {
             bail!("{data}: none of its scans could be fused");
@@ -135,7 +159,7 @@ impl Fusion {
         Ok(())
     }
 
-    fn fuse(&mut self, read: ReadScan) -> Result<ScanReport> {
+    fn fuse(&mut self, read: ReadScan, wait: f64) -> Result<ScanReport> {
         let mut scan: Scan = read.scan?;
         let start = Instant::now();
         scan.drop_invalid(&self.range);
@@ -147,6 +171,7 @@ impl Fusion {
             name: scan.name,
             sums: Sums {
                 read: read.read_secs,
+                wait,
                 prepare,
                 fuse: start.elapsed().as_secs_f64() - prepare,
                 find: done.find_secs,
@@ -160,7 +185,7 @@ impl Fusion {
     }
 
     /// Lets a method that collects scans fuse them.
-    fn finish(&mut self) -> FinishReport {
+    pub(crate) fn finish(&mut self) -> FinishReport {
         let start = Instant::now();
         let done = self.integrator.finish(&mut self.map);
         FinishReport {
@@ -175,7 +200,7 @@ impl Fusion {
         self.skipped.push(SkippedScan { name, reason });
     }
 
-    fn sums(&self) -> Sums {
+    pub(crate) fn sums(&self) -> Sums {
         let mut sums = Sums::default();
         self.scans.iter().for_each(|scan| sums += &scan.sums);
         sums

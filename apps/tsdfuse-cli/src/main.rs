@@ -1,11 +1,13 @@
 //! The `tsdfuse` command: LiDAR log in, surface out. It translates; the work is done by the libraries.
 
+mod bench;
 mod config;
 mod eval;
 mod evaluate;
 mod exit;
 mod fuse;
 mod info;
+mod machine;
 mod mesh;
 mod output;
 mod progress;
@@ -35,6 +37,7 @@ enum Command {
     Info(info::Args),
     Eval(eval::Args),
     Evaluate(Box<evaluate::Args>),
+    Bench(Box<bench::Args>),
 }
 
 fn main() -> ExitCode {
@@ -50,5 +53,6 @@ fn main() -> ExitCode {
         Command::Info(args) => info::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Bench(args) => bench::run(args),
     })
 }

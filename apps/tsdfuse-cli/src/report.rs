@@ -79,6 +79,8 @@ pub(crate) struct ScanReport {
 pub(crate) struct Sums {
     /// Reading and decoding, in the background.
     pub(crate) read: f64,
+    /// Waiting for that.
+    pub(crate) wait: f64,
     /// Leaving out invalid returns, placing the others, normals, ….
     pub(crate) prepare: f64,
     /// Updating the map.
@@ -152,6 +154,7 @@ pub(crate) struct MeshReport {
 impl std::ops::AddAssign<&Sums> for Sums {
     fn add_assign(&mut self, other: &Self) {
         self.read += other.read;
+        self.wait += other.wait;
         self.prepare += other.prepare;
         self.fuse += other.fuse;
         self.find += other.find;

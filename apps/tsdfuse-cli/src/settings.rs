@@ -1,4 +1,4 @@
-//! What to fuse, and with what: the arguments that `fuse` and `evaluate` share.
+//! What to fuse, and with what: the arguments that `fuse`, `evaluate` and `bench` share.
 
 use std::ffi::OsString;
 use std::fmt::{self, Display};
@@ -98,13 +98,17 @@ impl Settings {
 
     /// Opens the data set and tells what is odd about it.
     pub(crate) fn open(&self) -> Result<Dataset> {
-        let options = OpenOptions {
-            poses: self.poses.clone(),
-            sensor: self.sensor.clone(),
-        };
-        let dataset = tsdfuse_io::open_with(&self.dataset, &options)?;
+        let dataset = tsdfuse_io::open_with(&self.dataset, &self.open_options())?;
         dataset.notes().iter().for_each(note);
         Ok(dataset)
+    }
+
+    /// How the data set is opened.
+    pub(crate) fn open_options(&self) -> OpenOptions {
+        OpenOptions {
+            poses: self.poses.clone(),
+            sensor: self.sensor.clone(),
+        }
     }
 
     /// The arguments again, for a run of `tsdfuse fuse` on the same data.

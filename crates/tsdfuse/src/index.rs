@@ -106,7 +106,8 @@ impl Grid {
         if !v.abs().cmplt(DVec3::splat(MAX_VOXEL)).all() {
             return None;
         }
-        let v = (v * ORIGIN_STEPS_PER_VOXEL).round() / ORIGIN_STEPS_PER_VOXEL;
+        // Halves go up, on both sides of zero: so a move by whole voxels changes nothing.
+        let v = (v * ORIGIN_STEPS_PER_VOXEL + 0.5).floor() / ORIGIN_STEPS_PER_VOXEL;
         let base = floor(v);
         let fraction = v - base.as_dvec3();
         Some(Anchor {
@@ -209,6 +210,19 @@ mod tests {
             let far = grid.anchor(o + DVec3::new(5e5, 5.4e6, 300.0)).unwrap().locate(p.into()).unwrap();
             prop_assert_eq!(far.voxel - near.voxel, IVec3::new(10_000_000, 108_000_000, 6_000));
             prop_assert_eq!(far.fraction, near.fraction);
+        }
+    }
+
+    #[test]
+    fn positions_between_two_steps_go_to_the_same_side_everywhere() {
+        let grid = Grid::new(0.125);
+        let anchor = |steps: f64, voxels: i32| {
+            let position = (steps / ORIGIN_STEPS_PER_VOXEL + f64::from(voxels)) * grid.voxel_size_m();
+            grid.anchor(DVec3::splat(position)).unwrap().split()
+        };
+        for steps in [-2.5, -1.5, -0.5, 0.5, 1.5] {
+            let (near, far) = (anchor(steps, 0), anchor(steps, 1024));
+            assert_eq!((far.0 - near.0, far.1), (IVec3::splat(1024), near.1), "{steps}");
         }
     }
 

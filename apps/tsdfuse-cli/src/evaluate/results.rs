@@ -9,6 +9,7 @@ use super::child::{FuseReport, Skipped};
 use super::forms::Form;
 use super::reference::Chosen;
 use crate::config::RunConfig;
+use crate::machine::Machine;
 
 /// Everything.
 #[derive(Debug, Serialize)]
@@ -22,16 +23,6 @@ pub(crate) struct Results {
     pub(crate) methods: Vec<Row>,
     /// Methods that could not be used on these data, with the reason.
     pub(crate) failed: Vec<Skipped>,
-}
-
-/// Where the times were taken.
-#[derive(Debug, Serialize)]
-pub(crate) struct Machine {
-    pub(crate) processor: Option<String>,
-    pub(crate) threads: usize,
-    pub(crate) system: &'static str,
-    /// Year, month and day, UTC.
-    pub(crate) date: String,
 }
 
 /// What was fused.
@@ -108,49 +99,9 @@ pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     values.get(middle).copied().unwrap_or(f64::NAN)
 }
 
-impl Machine {
-    pub(crate) fn here(threads: usize) -> Self {
-        let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-        let name = cpu.lines().find_map(|line| line.strip_prefix("model name"));
-        let secs = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-        Self {
-            processor: name.map(|name| name.trim_start_matches([' ', '\t', ':']).to_owned()),
-            threads,
-            system: std::env::consts::OS,
-            date: secs.map_or(String::new(), |since| date(since.as_secs() / 86_400)),
-        }
-    }
-}
-
-/// Year, month and day, so many days after 1970-01-01 (Hinnant, "chrono-Compatible Low-Level Date Algorithms").
-fn date(days: u64) -> String {
-    let z = days + 719_468;
-    let (era, day_of_era) = (z / 146_097, z % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month + 2) / 5 + 1;
-    let month = if month < 10 { month + 3 } else { month - 9 };
-    let year = year_of_era + era * 400 + u64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02}")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn days_are_dates() {
-        for (days, wanted) in [
-            (0, "1970-01-01"),
-            (59, "1970-03-01"),
-            (11_016, "2000-02-29"),
-            (19_782, "2024-02-29"),
-            (20_513, "2026-03-01"),
-        ] {
-            assert_eq!(date(days), wanted);
-        }
-    }
 
     #[test]
     fn the_median_is_a_value() {

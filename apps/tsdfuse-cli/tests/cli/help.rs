@@ -10,6 +10,7 @@ fn help_texts_are_as_agreed() {
         ("tsdfuse", &["--help"][..]),
         ("fuse", &["fuse", "--help"]),
         ("evaluate", &["evaluate", "--help"]),
+        ("bench", &["bench", "--help"]),
         ("mesh", &["mesh", "--help"]),
         ("render", &["render", "--help"]),
         ("simulate", &["simulate", "--help"]),
