@@ -207,6 +207,7 @@ impl Lines {
                     dispatch!(level, simd => for line in lines {
                         update(simd, line, truncation, rule, &mut region, &mut writer);
                     });
+                    writer.ask(&mut region);
                 }
                 writer.write();
                 writer.touched
@@ -303,6 +304,9 @@ struct Queue {
 /// Updates that are under way at most.
 const QUEUE: usize = 512;
 
+/// Updates that memory is asked for at a time.
+const BURST: usize = 96;
+
 /// The most voxels that are found at a time: eight planes of 3 × 3.
 const FOUND: usize = 72;
 
@@ -336,7 +340,7 @@ impl Queue {
 
 impl Writer<'_> {
     /// Asks for the memory of what was found in a region.
-    #[inline(always)]
+    #[inline(never)]
     fn ask(&mut self, region: &mut Region<'_>) {
         let mut blocks = self.shard.blocks_mut();
         let Queue {
@@ -357,6 +361,9 @@ impl Writer<'_> {
             *place = *slot << 9 | voxel as u32;
         }
         *asked = *found;
+        if *found > QUEUE - BURST - FOUND {
+            self.write();
+        }
     }
 
     /// Makes the updates.
@@ -435,8 +442,8 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
             Places::<S, U>::of(u + 2.0, fraction[U], axis[U], center[U]),
         ];
 
-        if writer.queue.found > QUEUE - FOUND {
-            writer.write();
+        if writer.queue.found - writer.queue.asked > BURST {
+            writer.ask(region);
         }
         for j in 0..wide_w {
             let w = Places::<S, W>::of(w + j as f32, fraction[W], axis[W], center[W]);
@@ -464,7 +471,6 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
                 writer.queue.push(updated, address, weight, distance);
             }
         }
-        writer.ask(region);
         plane += 8;
     }
 }
