@@ -285,7 +285,7 @@ impl Image {
     /// Updates the voxels of a block.
     #[inline(always)]
     fn update<S: Simd>(&self, simd: S, block: BlockIndex, centers: &Centers, truncation_m: f32, updates: &mut Updates) {
-        let center_z = self.projection.center_z_m();
+        let (center_z, inverse) = (self.projection.center_z_m(), 1.0 / truncation_m);
         centers.for_each_row(
             block,
             #[inline(always)]
@@ -307,12 +307,18 @@ impl Image {
                     *measured = self.depths_m[pixel as usize];
                 }
                 let measured = f32x8::simd_from(simd, measured);
+                let ahead = measured - depth;
+                // Ranges differ by no less than depths.
+                let near = inside & measured.simd_gt(0.0) & ahead.abs().simd_le(truncation_m);
+                if !near.any_true() {
+                    return;
+                }
                 let height = z - center_z;
                 let range = (depth * depth + height * height).sqrt();
-                let distance = (measured - depth) * (range / depth);
-                let inside = inside & measured.simd_gt(0.0) & distance.abs().simd_le(truncation_m);
+                let distance = ahead * (range / depth);
+                let inside = near & distance.abs().simd_le(truncation_m);
                 let weight = (f32x8::splat(simd, 1.0) / range).min(1.0);
-                updates.add_row(first / ROW, inside, distance / truncation_m, weight);
+                updates.add_row(first / ROW, inside, distance * inverse, weight);
             },
         );
     }

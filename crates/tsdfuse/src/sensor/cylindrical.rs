@@ -121,7 +121,8 @@ impl Cylindrical {
     pub fn project(&self, point: Vec3) -> CylindricalPoint {
         let depth_m = (point.x * point.x + point.y * point.y).sqrt();
         let columns = self.columns() as f32;
-        let column = atan2_f32(point.y, point.x) * (-1.0 / self.pitch) - self.phase;
+        let per_pitch = 1.0 / self.pitch;
+        let column = -atan2_f32(point.y, point.x) * per_pitch - self.phase;
         let column = if column < -0.5 { column + columns } else { column };
         let column = if column >= columns - 0.5 {
             column - columns
@@ -130,7 +131,7 @@ impl Cylindrical {
         };
         CylindricalPoint {
             column,
-            row: (self.top - (point.z - self.center_z_m) / depth_m) / self.pitch,
+            row: (self.top - (point.z - self.center_z_m) / depth_m) * per_pitch,
             depth_m,
         }
     }
