@@ -1,13 +1,19 @@
 //! Triangle meshes, and their extraction from the map by marching cubes.
 
 mod cube;
+mod distances;
 mod extract;
+mod mesher;
+pub(crate) mod near;
 pub(crate) mod neighbourhood;
+pub(crate) mod signs;
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 pub use extract::{extract, extract_with};
+
+use crate::map::min_weight_sum;
 
 /// An indexed triangle mesh in world coordinates.
 ///
@@ -46,6 +52,11 @@ impl MeshConfig {
             true => Ok(()),
             false => Err(MeshError::MinWeight(self.min_weight)),
         }
+    }
+
+    /// Voxels with a smaller weight sum count as never observed. (No weight sum is beyond an i32.)
+    pub(crate) fn min_weight_sum(self) -> i32 {
+        min_weight_sum(self.min_weight).clamp(1, i32::MAX as u32) as i32
     }
 }
 

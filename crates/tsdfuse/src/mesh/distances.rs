@@ -1,0 +1,197 @@
+//! F about the surface, and the vertices that follow from it.
+
+use fearless_simd::{Simd, f32x8, i32x8, mask32x8, prelude::*};
+use glam::{DVec3, Vec3};
+
+use super::{
+    near::Near,
+    neighbourhood::{LAYER, Rows},
+    signs::load,
+};
+use crate::{index::BLOCK_EDGE, map::Block};
+
+/// Vertices keep this distance, in voxels, from the voxel centres: so no two share a position and no triangle is degenerate.
+const MARGIN: f32 = 1e-3;
+
+/// Voxels −1 … 9 of each axis.
+const EDGE: usize = 11;
+
+/// From a voxel's place to those of its neighbours along x, y and z.
+pub(super) const STRIDES: [usize; 3] = [1, EDGE, EDGE * EDGE];
+
+/// A power of two, so that places need no check.
+const PLACES: usize = 2048;
+
+/// F of a block's voxels and of a rim around it, where vertices need it; NaN where unobserved.
+pub(super) struct Distances {
+    /// By [`place`].
+    f: [f32; PLACES],
+}
+
+/// The place of the voxel with these coordinates, −1..=9 each.
+#[inline(always)]
+pub(super) fn place([x, y, z]: [i32; 3]) -> usize {
+    ((x + 1) + EDGE as i32 * ((y + 1) + EDGE as i32 * (z + 1))) as usize
+}
+
+/// A grid edge: the place of its lower voxel (11 bits), times 4, plus its axis; above bit 12, the coordinates of the lower voxel, four bits
+/// each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct GridEdge(u32);
+
+impl GridEdge {
+    /// All edges have numbers below this.
+    pub(super) const NUMBERS: usize = 4 * PLACES;
+
+    #[inline(always)]
+    pub(super) fn new(voxel: [i32; 3], axis: usize) -> Self {
+        let [x, y, z] = voxel.map(|c| c as u32);
+        Self(4 * place(voxel) as u32 + axis as u32 | x << 13 | y << 17 | z << 21)
+    }
+
+    /// Its number.
+    #[inline(always)]
+    pub(super) fn number(self) -> usize {
+        self.0 as usize % Self::NUMBERS
+    }
+}
+
+impl Distances {
+    pub(super) fn new() -> Self {
+        Self { f: [f32::NAN; PLACES] }
+    }
+
+    /// Loads what the vertices on these edges need.
+    #[inline(always)]
+    pub(super) fn load<S: Simd>(&mut self, simd: S, near: &Near<&Block>, edges: &[Rows; 3], min_sum: i32) {
+        let [along_x, along_y, along_z] = edges;
+        // The rows that hold an end of an edge. Those before and after them are needed for gradients.
+        let mut ends = [0; 13 * LAYER];
+        for i in LAYER..11 * LAYER {
+            ends[i + LAYER] = along_x[i] | along_y[i] | along_z[i] | along_y[i - 1] | along_z[i - LAYER];
+        }
+        for layer in 0..EDGE {
+            for lane in 0..EDGE {
+                let i = LAYER * (layer + 1) + lane;
+                let before = if lane == 0 { 0 } else { ends[i - 1] };
+                if before | ends[i] | ends[i + 1] | ends[i - LAYER] | ends[i + LAYER] != 0 {
+                    self.load_row(simd, near, lane as i32 - 1, layer as i32 - 1, min_sum);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn load_row<S: Simd>(&mut self, simd: S, near: &Near<&Block>, y: i32, z: i32, min_sum: i32) {
+        let part = |c: i32| ((c >> 3) + 1) as usize;
+        let first = 3 * part(y) + 9 * part(z);
+        let row = ((y & 7) + BLOCK_EDGE * (z & 7)) as usize % 64;
+        let at = place([-1, y, z]) % (PLACES - EDGE);
+        let f = &mut self.f[at..at + EDGE];
+        let of = |n: usize| near[first + n].map(|block| &block.voxels.as_chunks::<8>().0[row]);
+        let one = |voxel: Option<crate::map::Voxel>| match voxel {
+            Some(v) if v.weight_sum as i32 >= min_sum => v.distance_sum as f32 / v.weight_sum as i32 as f32,
+            _ => f32::NAN,
+        };
+        f[0] = one(of(0).map(|v| v[7]));
+        let eight: [f32; 8] = match of(1) {
+            Some(voxels) => {
+                let (weights, distances) = load(simd, voxels);
+                let quotient = distances.to_float::<f32x8<S>>() / weights.to_float::<f32x8<S>>();
+                weights.simd_ge(min_sum).select(quotient, f32x8::splat(simd, f32::NAN)).into()
+            }
+            None => [f32::NAN; 8],
+        };
+        f[1..9].copy_from_slice(&eight);
+        f[9] = one(of(2).map(|v| v[0]));
+        f[10] = one(of(2).map(|v| v[1]));
+    }
+
+    /// Position and normal of the vertices on some edges; `origin` is the centre of the block's first voxel.
+    #[inline(always)]
+    pub(super) fn vertices<S: Simd>(
+        &self,
+        simd: S,
+        edges: &[GridEdge],
+        origin: DVec3,
+        voxel_size_m: f64,
+        positions: &mut [DVec3],
+        normals: &mut [Vec3],
+    ) {
+        let out = positions.chunks_mut(8).zip(normals.chunks_mut(8));
+        for (edges, (positions, normals)) in edges.chunks(8).zip(out) {
+            let mut eight = [edges[0]; 8];
+            eight[..edges.len()].copy_from_slice(edges);
+            let [x, y, z, normal_x, normal_y, normal_z] = self.eight(simd, &eight);
+            for (lane, (position, normal)) in positions.iter_mut().zip(normals).enumerate() {
+                let in_voxels = Vec3::new(x[lane], y[lane], z[lane]);
+                *position = origin + in_voxels.as_dvec3() * voxel_size_m;
+                *normal = Vec3::new(normal_x[lane], normal_y[lane], normal_z[lane]);
+            }
+        }
+    }
+
+    /// Position relative to the centre of the block's first voxel, in voxels, and normal of the vertices on eight edges.
+    #[inline(always)]
+    fn eight<S: Simd>(&self, simd: S, edges: &[GridEdge; 8]) -> [[f32; 8]; 6] {
+        let mut codes = [0; 8];
+        // F at the lower and the higher end, and before and after each along x, y and z.
+        let mut ends = [[0.0; 8]; 2];
+        let mut beside = [[[[0.0; 8]; 2]; 3]; 2];
+        for (lane, &edge) in edges.iter().enumerate() {
+            codes[lane] = edge.0 as i32;
+            let low = edge.number() / 4;
+            let high = low + STRIDES[edge.number() % 4 % 3];
+            for (end, at) in [low, high].into_iter().enumerate() {
+                ends[end][lane] = self.f[at % PLACES];
+                for (axis, stride) in STRIDES.into_iter().enumerate() {
+                    beside[end][axis][0][lane] = self.f[at.wrapping_sub(stride) % PLACES];
+                    beside[end][axis][1][lane] = self.f[(at + stride) % PLACES];
+                }
+            }
+        }
+        let codes = i32x8::simd_from(simd, codes);
+        let [f0, f1] = ends;
+        let (f0, f1) = (f32x8::simd_from(simd, f0), f32x8::simd_from(simd, f1));
+        let t = f0 / (f0 - f1);
+        let t = t.max(MARGIN).min(1.0 - MARGIN);
+
+        // The gradient at both ends: central differences where both sides are observed.
+        let is_number = |a: f32x8<S>| a.simd_eq(a);
+        let difference = |here: f32x8<S>, [before, after]: [[f32; 8]; 2]| {
+            let (before, after) = (f32x8::simd_from(simd, before), f32x8::simd_from(simd, after));
+            let (low, high) = (here - before, after - here);
+            let central = (after - before) * 0.5;
+            let one_sided = is_number(low).select(low, is_number(high).select(high, f32x8::splat(simd, 0.0)));
+            is_number(central).select(central, one_sided)
+        };
+        let along = |axis: usize| {
+            difference(f0, beside[0][axis]) * (1.0 - t) + difference(f1, beside[1][axis]) * t
+        };
+        let (gx, gy, gz) = (along(0), along(1), along(2));
+        let per_length = 1.0 / (gx * gx + gy * gy + gz * gz).sqrt();
+
+        let axis = codes & 3;
+        let is_axis = |n: i32| axis.simd_eq(n);
+        // Where the field is flat, the edge tells the direction.
+        let has_direction = per_length.simd_lt(f32::INFINITY) & per_length.simd_gt(0.0);
+        let along_edge = f1.simd_gt(f0).select(f32x8::splat(simd, 1.0), f32x8::splat(simd, -1.0));
+        let zero = f32x8::splat(simd, 0.0);
+        let normal = |g: f32x8<S>, of_axis: mask32x8<S>| -> [f32; 8] {
+            has_direction.select(g * per_length, of_axis.select(along_edge, zero)).into()
+        };
+        let coordinate = |shift: u32, of_axis: mask32x8<S>| -> [f32; 8] {
+            let whole = ((codes >> shift) & 15).to_float::<f32x8<S>>();
+            (whole + of_axis.select(t, zero)).into()
+        };
+        let (on_x, on_y, on_z) = (is_axis(0), is_axis(1), is_axis(2));
+        [
+            coordinate(13, on_x),
+            coordinate(17, on_y),
+            coordinate(21, on_z),
+            normal(gx, on_x),
+            normal(gy, on_y),
+            normal(gz, on_z),
+        ]
+    }
+}
