@@ -8,7 +8,7 @@ use super::{
     neighbourhood::{LAYER, Rows},
     signs::load,
 };
-use crate::{index::BLOCK_EDGE, map::Block};
+use crate::{index::{BLOCK_EDGE, BLOCK_VOXELS}, map::Block};
 
 /// Vertices keep this distance, in voxels, from the voxel centres: so no two share a position and no triangle is degenerate.
 const MARGIN: f32 = 1e-3;
@@ -45,8 +45,9 @@ impl GridEdge {
 
     #[inline(always)]
     pub(super) fn new(voxel: [i32; 3], axis: usize) -> Self {
-        let [x, y, z] = voxel.map(|c| c as u32);
-        Self(4 * place(voxel) as u32 + axis as u32 | x << 13 | y << 17 | z << 21)
+        let [x, y, z] = voxel;
+        let coordinates = (x | y << 4 | z << 8) as u32;
+        Self(4 * place(voxel) as u32 + axis as u32 | coordinates << 13)
     }
 
     /// Its number.
@@ -88,23 +89,17 @@ impl Distances {
         let row = ((y & 7) + BLOCK_EDGE * (z & 7)) as usize % 64;
         let at = place([-1, y, z]) % (PLACES - EDGE);
         let f = &mut self.f[at..at + EDGE];
-        let of = |n: usize| near[first + n].map(|block| &block.voxels.as_chunks::<8>().0[row]);
-        let one = |voxel: Option<crate::map::Voxel>| match voxel {
-            Some(v) if v.weight_sum as i32 >= min_sum => v.distance_sum as f32 / v.weight_sum as i32 as f32,
-            _ => f32::NAN,
-        };
-        f[0] = one(of(0).map(|v| v[7]));
-        let eight: [f32; 8] = match of(1) {
-            Some(voxels) => {
-                let (weights, distances) = load(simd, voxels);
-                let quotient = distances.to_float::<f32x8<S>>() / weights.to_float::<f32x8<S>>();
-                weights.simd_ge(min_sum).select(quotient, f32x8::splat(simd, f32::NAN)).into()
-            }
-            None => [f32::NAN; 8],
-        };
+        let of = [near[first], near[first + 1], near[first + 2]];
+        f[0] = one(of[0], 8 * row + 7, min_sum);
+        let mut eight = [f32::NAN; 8];
+        if let Some(block) = of[1] {
+            let (weights, distances) = load(simd, &block.voxels.as_chunks().0[row]);
+            let quotient = distances.to_float::<f32x8<S>>() / weights.to_float::<f32x8<S>>();
+            eight = weights.simd_ge(min_sum).select(quotient, f32x8::splat(simd, f32::NAN)).into();
+        }
         f[1..9].copy_from_slice(&eight);
-        f[9] = one(of(2).map(|v| v[0]));
-        f[10] = one(of(2).map(|v| v[1]));
+        f[9] = one(of[2], 8 * row, min_sum);
+        f[10] = one(of[2], 8 * row + 1, min_sum);
     }
 
     /// Position and normal of the vertices on some edges; `origin` is the centre of the block's first voxel.
@@ -156,42 +151,56 @@ impl Distances {
         let t = f0 / (f0 - f1);
         let t = t.max(MARGIN).min(1.0 - MARGIN);
 
-        // The gradient at both ends: central differences where both sides are observed.
-        let is_number = |a: f32x8<S>| a.simd_eq(a);
-        let difference = |here: f32x8<S>, [before, after]: [[f32; 8]; 2]| {
-            let (before, after) = (f32x8::simd_from(simd, before), f32x8::simd_from(simd, after));
-            let (low, high) = (here - before, after - here);
-            let central = (after - before) * 0.5;
-            let one_sided = is_number(low).select(low, is_number(high).select(high, f32x8::splat(simd, 0.0)));
-            is_number(central).select(central, one_sided)
-        };
-        let along = |axis: usize| {
-            difference(f0, beside[0][axis]) * (1.0 - t) + difference(f1, beside[1][axis]) * t
-        };
-        let (gx, gy, gz) = (along(0), along(1), along(2));
+        let [x0, y0, z0] = &beside[0];
+        let [x1, y1, z1] = &beside[1];
+        let gx = difference(f0, x0) * (1.0 - t) + difference(f1, x1) * t;
+        let gy = difference(f0, y0) * (1.0 - t) + difference(f1, y1) * t;
+        let gz = difference(f0, z0) * (1.0 - t) + difference(f1, z1) * t;
         let per_length = 1.0 / (gx * gx + gy * gy + gz * gz).sqrt();
 
-        let axis = codes & 3;
-        let is_axis = |n: i32| axis.simd_eq(n);
         // Where the field is flat, the edge tells the direction.
         let has_direction = per_length.simd_lt(f32::INFINITY) & per_length.simd_gt(0.0);
         let along_edge = f1.simd_gt(f0).select(f32x8::splat(simd, 1.0), f32x8::splat(simd, -1.0));
+        let axis = codes & 3;
+        let (on_x, on_y, on_z) = (axis.simd_eq(0), axis.simd_eq(1), axis.simd_eq(2));
         let zero = f32x8::splat(simd, 0.0);
-        let normal = |g: f32x8<S>, of_axis: mask32x8<S>| -> [f32; 8] {
-            has_direction.select(g * per_length, of_axis.select(along_edge, zero)).into()
-        };
-        let coordinate = |shift: u32, of_axis: mask32x8<S>| -> [f32; 8] {
-            let whole = ((codes >> shift) & 15).to_float::<f32x8<S>>();
-            (whole + of_axis.select(t, zero)).into()
-        };
-        let (on_x, on_y, on_z) = (is_axis(0), is_axis(1), is_axis(2));
         [
-            coordinate(13, on_x),
-            coordinate(17, on_y),
-            coordinate(21, on_z),
-            normal(gx, on_x),
-            normal(gy, on_y),
-            normal(gz, on_z),
+            (whole(codes >> 13) + on_x.select(t, zero)).into(),
+            (whole(codes >> 17) + on_y.select(t, zero)).into(),
+            (whole(codes >> 21) + on_z.select(t, zero)).into(),
+            has_direction.select(gx * per_length, on_x.select(along_edge, zero)).into(),
+            has_direction.select(gy * per_length, on_y.select(along_edge, zero)).into(),
+            has_direction.select(gz * per_length, on_z.select(along_edge, zero)).into(),
         ]
     }
+}
+
+/// F of one voxel of a block.
+#[inline(always)]
+fn one(block: Option<&Block>, local: usize, min_sum: i32) -> f32 {
+    match block.map(|block| block.voxels[local % BLOCK_VOXELS]) {
+        Some(v) if v.weight_sum as i32 >= min_sum => v.distance_sum as f32 / v.weight_sum as i32 as f32,
+        _ => f32::NAN,
+    }
+}
+
+/// F's derivative at voxels along one axis, per voxel: the central difference where both sides are observed.
+#[inline(always)]
+fn difference<S: Simd>(here: f32x8<S>, [before, after]: &[[f32; 8]; 2]) -> f32x8<S> {
+    let simd = here.token();
+    let (before, after) = (f32x8::simd_from(simd, *before), f32x8::simd_from(simd, *after));
+    let (low, high, central) = (here - before, after - here, (after - before) * 0.5);
+    let other = is_number(low).select(low, is_number(high).select(high, f32x8::splat(simd, 0.0)));
+    is_number(central).select(central, other)
+}
+
+#[inline(always)]
+fn is_number<S: Simd>(f: f32x8<S>) -> mask32x8<S> {
+    f.simd_eq(f)
+}
+
+/// The coordinate in the lowest four bits.
+#[inline(always)]
+fn whole<S: Simd>(codes: i32x8<S>) -> f32x8<S> {
+    (codes & 15).to_float()
 }

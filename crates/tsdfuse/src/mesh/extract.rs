@@ -26,7 +26,7 @@ use super::{
 use crate::{index::BlockIndex, map::VoxelMap};
 
 /// Blocks that one task handles.
-const BLOCKS_PER_TASK: usize = 64;
+pub(super) const BLOCKS_PER_TASK: usize = 64;
 
 /// The surface of the map: every voxel that was observed counts.
 ///
@@ -52,17 +52,15 @@ pub fn extract(map: &VoxelMap) -> Result<Mesh, MeshError> {
 /// # Errors
 /// [`MeshError::TooManyVertices`] beyond 2³² vertices.
 pub fn extract_with(map: &VoxelMap, config: &MeshConfig) -> Result<Mesh, MeshError> {
-    extract_at(map, config, Level::new())
+    let (level, min_sum) = (Level::new(), config.min_weight_sum());
+    let signs = Signs::of_all(map, min_sum, level);
+    extract_from(&Source { map, min_sum }, &signs, level)
 }
 
-/// As [`extract_with`], with given instructions.
-fn extract_at(map: &VoxelMap, config: &MeshConfig, level: Level) -> Result<Mesh, MeshError> {
-    let source = Source {
-        map,
-        min_sum: config.min_weight_sum(),
-    };
-    let signs = Signs::of_all(map, source.min_sum, level);
-    let (mut patches, numbers) = patches(map, &signs, level);
+/// As [`extract_with`], where the signs of all blocks are known.
+pub(super) fn extract_from(source: &Source<'_>, signs: &PerBlock<Signs>, level: Level) -> Result<Mesh, MeshError> {
+    let map = source.map;
+    let (mut patches, numbers) = patches(map, signs, level);
 
     // Where each block's vertices begin in the mesh.
     let mut total: u64 = 0;
@@ -96,7 +94,7 @@ fn extract_at(map: &VoxelMap, config: &MeshConfig, level: Level) -> Result<Mesh,
         let (mut finder, mut mesher) = (Finder::new(map), Mesher::new());
         dispatch!(level, simd => for patch in own {
             let places = finder.near(patch.index);
-            mesher.load(&signs, &places, Cells::About);
+            mesher.load(signs, &places, Cells::About);
             mesher.number_vertices(8, patch.first);
             for n in [1, 3, 4, 9, 10, 12, 13] {
                 let number = places[OWN + n].and_then(|p| numbers.get(p));
@@ -105,7 +103,7 @@ fn extract_at(map: &VoxelMap, config: &MeshConfig, level: Level) -> Result<Mesh,
                 }
             }
             let out = rest.split_off(patch.vertices, patch.triangles);
-            mesher.vertices(simd, &source, &places, patch.index, (out.vertices, out.normals));
+            mesher.vertices(simd, source, &places, patch.index, (out.vertices, out.normals));
             let mut triangles = out.triangles.iter_mut();
             mesher.for_each_triangle(|corners| {
                 if let Some(triangle) = triangles.next() {

@@ -10,7 +10,7 @@ use super::{
     neighbourhood::{Cells, Neighbourhood, row_of},
     signs::Signs,
 };
-use crate::{index::BlockIndex, map::VoxelMap};
+use crate::{index::BlockIndex, map::{Block, VoxelMap}};
 
 /// What meshing a block needs, kept from block to block.
 pub(super) struct Mesher {
@@ -35,7 +35,11 @@ impl Mesher {
     /// Judges a block.
     #[inline(always)]
     pub(super) fn load(&mut self, signs: &PerBlock<Signs>, places: &Near<Place>, cells: Cells) {
-        self.near.load(&places.map(|p| p.and_then(|p| signs.get(p))), cells);
+        let mut near: Near<&Signs> = [None; 27];
+        for (near, place) in near.iter_mut().zip(places) {
+            *near = place.and_then(|p| signs.get(p));
+        }
+        self.near.load(&near, cells);
     }
 
     /// Numbers the vertices on the edges from voxels with coordinates below `end`, 8 or 9, from `first` on.
@@ -45,8 +49,9 @@ impl Mesher {
         for z in 0..end {
             for y in 0..end {
                 let row = row_of(y, z);
-                let [x_bits, y_bits, z_bits] = [0, 1, 2].map(|axis| self.near.edges[axis][row] >> 1 & ((1 << end) - 1));
-                let mut left = spread(x_bits) | spread(y_bits) << 1 | spread(z_bits) << 2;
+                let [along_x, along_y, along_z] = &self.near.edges;
+                let (along_x, along_y, along_z) = (spread(along_x[row]), spread(along_y[row]), spread(along_z[row]));
+                let mut left = (along_x | along_y << 1 | along_z << 2) & ((1 << (3 * end)) - 1);
                 while left != 0 {
                     let bit = left.trailing_zeros() as i32;
                     left &= left - 1;
@@ -79,7 +84,10 @@ impl Mesher {
         index: BlockIndex,
         (positions, normals): (&mut [DVec3], &mut [Vec3]),
     ) {
-        let blocks = places.map(|place| place.map(|p| p.block(source.map)));
+        let mut blocks: Near<&Block> = [None; 27];
+        for (block, place) in blocks.iter_mut().zip(places) {
+            *block = place.map(|p| p.block(source.map));
+        }
         self.distances.load(simd, &blocks, &self.near.edges, source.min_sum);
         let origin = source.map.grid().center(index.first_voxel());
         let voxel_size_m = source.map.config().voxel_size_m;
@@ -93,8 +101,9 @@ impl Mesher {
         self.near.for_each_cell(|cell, negative| {
             let first = GridEdge::new(cell, 0).number();
             let case = &cases[negative % 256];
-            for edges in &case.edges[..MAX_TRIANGLES.min(case.count as usize)] {
-                found(edges.map(|edge| self.numbers[(first + edge as usize) % GridEdge::NUMBERS]));
+            let number = |edge: u16| self.numbers[(first + edge as usize) % GridEdge::NUMBERS];
+            for &[a, b, c] in &case.edges[..MAX_TRIANGLES.min(case.count as usize)] {
+                found([number(a), number(b), number(c)]);
             }
         });
     }
@@ -115,10 +124,10 @@ pub(super) struct Source<'a> {
     pub(super) min_sum: i32,
 }
 
-/// The bits of a row, three apart.
+/// The bits of voxels 0 … 8 of a row, three apart.
 #[inline(always)]
-fn spread(bits: u16) -> u32 {
-    SPREAD[usize::from(bits) % SPREAD.len()]
+fn spread(row: u16) -> u32 {
+    SPREAD[usize::from(row) / 2 % SPREAD.len()]
 }
 
 static SPREAD: [u32; 512] = {

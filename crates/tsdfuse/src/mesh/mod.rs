@@ -3,6 +3,7 @@
 mod cube;
 mod distances;
 mod extract;
+mod incremental;
 mod mesher;
 pub(crate) mod near;
 pub(crate) mod neighbourhood;
@@ -12,6 +13,7 @@ use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 pub use extract::{extract, extract_with};
+pub use incremental::{Incremental, Piece};
 
 use crate::map::min_weight_sum;
 

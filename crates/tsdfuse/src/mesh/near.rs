@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::{
     index::BlockIndex,
-    map::{Block, NO_SLOT, REGION_BITS, REGION_BLOCKS, Shard, VoxelMap, in_region, shard_of_region},
+    map::{Block, NO_SLOT, REGION_BITS, REGION_BLOCKS, SHARDS, Shard, VoxelMap, in_region, shard_of_region},
 };
 
 /// A block and its neighbours, or something of each: what belongs to the one at (x, y, z) − 1 has number x + 3y + 9z.
@@ -97,7 +97,29 @@ impl<T: Send> PerBlock<T> {
     }
 }
 
+impl<T: Clone> PerBlock<T> {
+    /// Makes room for blocks that the map has by now.
+    pub(crate) fn grow(&mut self, map: &VoxelMap, value: &T) {
+        for (values, shard) in self.shards.iter_mut().zip(&map.shards) {
+            values.resize(shard.blocks().len(), value.clone());
+        }
+    }
+}
+
+impl<T> Default for PerBlock<T> {
+    fn default() -> Self {
+        Self {
+            shards: (0..SHARDS).map(|_| Vec::new()).collect(),
+        }
+    }
+}
+
 impl<T> PerBlock<T> {
+    /// Bytes held.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.shards.iter().map(|s| s.capacity() * size_of::<T>()).sum()
+    }
+
     /// What follows from each value.
     pub(crate) fn map<U>(&self, of: impl Fn(&T) -> U) -> PerBlock<U> {
         PerBlock {

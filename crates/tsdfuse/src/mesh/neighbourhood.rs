@@ -3,7 +3,7 @@
 
 use super::{
     near::Near,
-    signs::{Bits, Signs},
+    signs::{Bits, NO_BITS, Signs},
 };
 
 /// Rows of a layer: y = −1 … 9, and some that are always empty.
@@ -54,9 +54,8 @@ impl Neighbourhood {
     /// Judges a block by its signs and those of its neighbours.
     #[inline(always)]
     pub(crate) fn load(&mut self, near: &Near<&Signs>, cells: Cells) {
-        let near = near.map(|signs| signs.unwrap_or(&Signs::NONE));
-        gather(&mut self.valid, |n| &near[n].valid);
-        gather(&mut self.negative, |n| &near[n].negative);
+        self.valid = around(|n| near[n].map_or(&NO_BITS, |signs| &signs.valid));
+        self.negative = around(|n| near[n].map_or(&NO_BITS, |signs| &signs.negative));
         self.find_surface(cells);
     }
 
@@ -72,7 +71,7 @@ impl Neighbourhood {
             let all = all & negative[above] & negative[behind];
             let corners = valid[i] & valid[i + 1] & valid[above] & valid[behind];
             observed[i] = corners & corners >> 1;
-            self.surface[i] = (any | any >> 1) & !(all & all >> 1) & observed[i];
+            self.surface[i] = (any | any >> 1) & !(all & all >> 1);
         }
         if cells == Cells::Own {
             for (z, layer) in observed.chunks_mut(LAYER).enumerate() {
@@ -81,6 +80,7 @@ impl Neighbourhood {
                 }
             }
         }
+        self.surface.iter_mut().zip(observed).for_each(|(s, observed)| *s &= observed);
         // Edges with an observed cell beside them are observed at both ends. A cell's bit shifted up by one stands for the
         // cell at x − 1.
         let [along_x, along_y, along_z] = &mut self.edges;
@@ -116,8 +116,38 @@ impl Neighbourhood {
         own
     }
 
-    /// How many cells of the block have each of the 256 sets of negative corners is told one by one: calls back with the
-    /// cell and the set, as numbered in [`super::cube`], for each cell that the surface passes.
+    /// The blocks whose voxels the surface in the block's cells depends on, with its normals: bits, as numbered in [`Near`].
+    /// After loading with [`Cells::Own`].
+    #[inline(always)]
+    pub(super) fn sources(&self) -> u32 {
+        let [along_x, along_y, along_z] = &self.edges;
+        // The corners of cells, the ends of edges, and what lies beside these.
+        let (mut ends, mut seen): (Rows, Rows) = ([0; LEN], [0; LEN]);
+        for i in LAYER + 1..LEN - LAYER {
+            let cells = self.surface[i] | self.surface[i - 1] | self.surface[i - LAYER] | self.surface[i - LAYER - 1];
+            seen[i] = cells | cells << 1;
+            let x = along_x[i];
+            ends[i] = x | x << 1 | along_y[i] | along_y[i - 1] | along_z[i] | along_z[i - LAYER];
+        }
+        let mut sources = 0;
+        for z in 0..11 {
+            let mut rows = [0; 3];
+            for y in 0..11 {
+                let i = LAYER * z + y;
+                let before = |by: usize| i.checked_sub(by).map_or(0, |i| ends[i]);
+                let e = ends[i] | before(1) | before(LAYER) | ends[i + 1] | ends[i + LAYER];
+                rows[(y + 7) / 8] |= seen[i] | e | ends[i] << 1 | ends[i] >> 1;
+            }
+            for (k, row) in rows.into_iter().enumerate() {
+                let [before, own, after] = [row & 1 != 0, row & OWN != 0, row >> 9 != 0].map(u32::from);
+                sources |= (before | own << 1 | after << 2) << (3 * k + 9 * ((z + 7) / 8));
+            }
+        }
+        sources
+    }
+
+    /// Calls back with each of the block's cells that the surface passes, and the set of its negative corners as numbered in
+    /// [`super::cube`].
     #[inline(always)]
     pub(super) fn for_each_cell(&self, mut found: impl FnMut([i32; 3], usize)) {
         for z in 0..8 {
@@ -127,11 +157,13 @@ impl Neighbourhood {
                 if cells == 0 {
                     continue;
                 }
-                let rows = [row, row + 1, row + LAYER, row + LAYER + 1].map(|i| usize::from(self.negative[i]));
+                let (a, b) = (usize::from(self.negative[row]), usize::from(self.negative[row + 1]));
+                let (c, d) = (self.negative[row + LAYER], self.negative[row + LAYER + 1]);
+                let (c, d) = (usize::from(c), usize::from(d));
                 while cells != 0 {
-                    let bit = cells.trailing_zeros();
-                    let [a, b, c, d] = rows.map(|row| row >> bit & 3);
-                    found([bit as i32 - 1, y, z], a | b << 2 | c << 4 | d << 6);
+                    let x = cells.trailing_zeros();
+                    let negative = a >> x & 3 | (b >> x & 3) << 2 | (c >> x & 3) << 4 | (d >> x & 3) << 6;
+                    found([x as i32 - 1, y, z], negative);
                     cells &= cells - 1;
                 }
             }
@@ -139,20 +171,34 @@ impl Neighbourhood {
     }
 }
 
-/// Puts the bits of a block and its rim side by side.
+/// Puts the bits of a block and its rim side by side, for x, y, z in −1..=8.
 #[inline(always)]
-fn gather<'a>(rows: &mut Rows, bits: impl Fn(usize) -> &'a Bits) {
+pub(super) fn around<'a>(bits: impl Fn(usize) -> &'a Bits) -> Rows {
+    let mut rows = [0; LEN];
     for z in -1..=8_i32 {
         let (layer, local) = (LAYER * (z + 1) as usize, (z & 7) as usize);
         let of = |n: usize| &bits(n + 9 * ((z >> 3) + 1) as usize)[local];
         for (y, y_of_block, count, first) in [(0, 7, 1, 0), (1, 0, 8, 3), (9, 0, 1, 6)] {
             let (left, own, right) = (of(first), of(first + 1), of(first + 2));
             for k in 0..count {
-                let [l, o, r] = [left, own, right].map(|part| u16::from(part[y_of_block + k]));
-                rows[layer + y + k] = l >> 7 | o << 1 | (r & 1) << 9;
+                let k_of_block = y_of_block + k;
+                let (left, own, right) = (left[k_of_block], u16::from(own[k_of_block]), u16::from(right[k_of_block]));
+                rows[layer + y + k] = u16::from(left >> 7) | own << 1 | (right & 1) << 9;
             }
         }
     }
+    rows
+}
+
+/// The bits about each of the own bits' number x + 8y + 64z: as numbered in [`Near`].
+#[inline(always)]
+pub(super) fn bits_about(rows: &Rows, number: usize) -> u32 {
+    let (x, row) = (number % 8, row_of(number as i32 / 8 % 8, number as i32 / 64 % 8));
+    let mut all = 0;
+    for (k, lane) in [0, LAYER, 2 * LAYER].into_iter().flat_map(|layer| [layer, layer + 1, layer + 2]).enumerate() {
+        all |= u32::from(rows[row + lane - LAYER - 1] >> x & 7) << (3 * k);
+    }
+    all
 }
 
 /// The number of a row of voxels, y and z in −1..=9.

@@ -8,6 +8,9 @@ use crate::map::{Block, Voxel, VoxelMap};
 /// A bit for each voxel of a block: bit x of byte y of layer z.
 pub(super) type Bits = [[u8; 8]; 8];
 
+/// No bit is set.
+pub(super) const NO_BITS: Bits = [[0; 8]; 8];
+
 /// The bits of a block's voxels.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Signs {
@@ -20,8 +23,8 @@ pub(crate) struct Signs {
 impl Signs {
     /// Of a block that was never observed.
     pub(super) const NONE: Self = Self {
-        valid: [[0; 8]; 8],
-        negative: [[0; 8]; 8],
+        valid: NO_BITS,
+        negative: NO_BITS,
     };
 
     /// Voxels with a weight sum below `min_sum` count as unobserved.

@@ -1,0 +1,269 @@
+//! Meshing a map that grows, scan by scan: only what an update can have changed is meshed again.
+//!
+//! ```text
+//!   updated blocks ─▶ their signs are read anew ─▶ they and their neighbours: which of them can look different?
+//!                                                      └─▶ cells, edges, vertices of these alone ─▶ pieces
+//! ```
+//!
+//! Kept per block are the signs of its voxels, and which of its neighbours its piece of the surface depends on: 132 bytes, 3 %
+//! of a block. Pieces themselves are not kept.
+
+use fearless_simd::{Level, Simd, dispatch};
+use glam::{DVec3, IVec3, Vec3};
+use hashbrown::HashMap;
+use rayon::prelude::*;
+use rustc_hash::FxBuildHasher;
+
+use super::{
+    Mesh, MeshConfig, MeshError,
+    extract::{BLOCKS_PER_TASK, extract_from},
+    mesher::{Mesher, Source},
+    near::{Finder, Near, OWN, PerBlock, Place, offset_to},
+    neighbourhood::{Cells, around, bits_about},
+    signs::{Bits, NO_BITS, Signs},
+};
+use crate::{
+    index::BlockIndex,
+    map::{NO_SLOT, REGION_BLOCKS, SHARDS, VoxelMap, block_of_region, in_region, shard_of_region},
+};
+
+/// The surface of a map that is fused into meanwhile, by pieces that changed.
+///
+/// Tell it of every integration ([`Incremental::note`]), and ask as often as you like: after each scan, once a second, at the end.
+///
+/// ```
+/// use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3, mesh::Incremental};
+/// let mut map = VoxelMap::new(MapConfig::default())?;
+/// let (mut raycast, mut surface) = (Raycast::default(), Incremental::default());
+/// for x in [1.0, 1.5] {
+///     let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(x, 0.02 * y as f32, 0.02 * z as f32)));
+///     let scan = Scan { points: points.collect(), ..Default::default() };
+///     surface.note(&raycast.integrate(&mut map, &scan)?.updated_blocks);
+///     for piece in surface.changes(&map) {
+///         // Show it in place of what this block showed before.
+///         println!("{:?}: {} triangles", piece.block, piece.mesh.triangles.len());
+///     }
+/// }
+/// assert_eq!(surface.mesh(&map)?, tsdfuse::mesh::extract(&map)?);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Incremental {
+    level: Level,
+    min_sum: i32,
+    signs: PerBlock<Signs>,
+    /// On which blocks each block's piece depends: bits, as numbered in [`super::near::Near`]. 0: it has no surface.
+    sources: PerBlock<u32>,
+    /// Updated since signs were read.
+    unread: Blocks,
+    /// Updated since changes were told.
+    untold: Blocks,
+}
+
+/// A set of blocks: a bit for each one of a region.
+type Blocks = HashMap<IVec3, Bits, FxBuildHasher>;
+const _: () = assert!(REGION_BLOCKS == 8 * 64);
+
+/// The surface within the cells of one block, whole in itself: vertices on its border are also part of the pieces beside it, with
+/// the same position and normal, bit for bit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Piece {
+    /// The block whose voxels are the first corners of the cells.
+    pub block: BlockIndex,
+    /// Its surface; empty where it is gone.
+    pub mesh: Mesh,
+}
+
+impl Default for Incremental {
+    fn default() -> Self {
+        Self::new(&MeshConfig::default())
+    }
+}
+
+impl Incremental {
+    /// For a map without blocks so far; else note all of its blocks first.
+    pub fn new(config: &MeshConfig) -> Self {
+        Self {
+            level: Level::new(),
+            min_sum: config.min_weight_sum(),
+            signs: PerBlock::default(),
+            sources: PerBlock::default(),
+            unread: Blocks::default(),
+            untold: Blocks::default(),
+        }
+    }
+
+    /// Notes blocks that were updated: [`crate::Integration::updated_blocks`]. No work is done yet.
+    pub fn note(&mut self, updated_blocks: &[BlockIndex]) {
+        for &index in updated_blocks {
+            let (region, number) = in_region(index);
+            self.unread.entry(region).or_default()[number / 64 % 8][number / 8 % 8] |= 1 << (number % 8);
+        }
+    }
+
+    /// The pieces that may have changed since this was asked last, in the order of their blocks. All pieces together are the
+    /// map's surface.
+    ///
+    /// The map must be the one whose updates were noted.
+    pub fn changes(&mut self, map: &VoxelMap) -> Vec<Piece> {
+        self.read(map);
+        let candidates = candidates(map, &std::mem::take(&mut self.untold));
+        let this = &*self;
+        let chunks = candidates.par_chunks(BLOCKS_PER_TASK).map(|chunk| {
+            let mut workplace = Workplace {
+                source: this.source(map),
+                finder: Finder::new(map),
+                mesher: Mesher::new(),
+            };
+            let mut done = Vec::new();
+            dispatch!(this.level, simd => for candidate in chunk {
+                done.extend(this.remesh(simd, &mut workplace, candidate));
+            });
+            done
+        });
+        let chunks: Vec<Vec<Remeshed>> = chunks.collect();
+        let mut pieces = Vec::with_capacity(chunks.iter().map(Vec::len).sum());
+        for Remeshed { place, sources, piece } in chunks.into_iter().flatten() {
+            if let Some(known) = self.sources.get_mut(place) {
+                *known = sources;
+            }
+            pieces.push(piece);
+        }
+        pieces.par_sort_unstable_by_key(|piece: &Piece| piece.block);
+        pieces
+    }
+
+    /// The whole surface: what [`super::extract_with`] finds in the map, bit for bit.
+    ///
+    /// # Errors
+    /// [`MeshError::TooManyVertices`] beyond 2³² vertices.
+    pub fn mesh(&mut self, map: &VoxelMap) -> Result<Mesh, MeshError> {
+        self.read(map);
+        extract_from(&self.source(map), &self.signs, self.level)
+    }
+
+    /// Bytes kept beside the map.
+    pub fn memory_bytes(&self) -> usize {
+        self.signs.memory_bytes()
+            + self.sources.memory_bytes()
+            + self.unread.allocation_size()
+            + self.untold.allocation_size()
+    }
+
+    fn source<'a>(&self, map: &'a VoxelMap) -> Source<'a> {
+        Source {
+            map,
+            min_sum: self.min_sum,
+        }
+    }
+
+    /// Reads the signs of updated blocks.
+    fn read(&mut self, map: &VoxelMap) {
+        self.signs.grow(map, &Signs::NONE);
+        self.sources.grow(map, &0);
+        let mut by_shard = vec![Vec::new(); SHARDS];
+        for (region, bits) in self.unread.drain() {
+            by_shard[shard_of_region(region)].push((region, bits));
+            let untold = self.untold.entry(region).or_default();
+            let both = untold.as_flattened_mut().iter_mut().zip(bits.as_flattened());
+            both.for_each(|(untold, bits)| *untold |= bits);
+        }
+        let shards = self.signs.shards.par_iter_mut().zip(&map.shards).zip(by_shard);
+        let (level, min_sum) = (self.level, self.min_sum);
+        shards.for_each(|((signs, shard), regions)| {
+            dispatch!(level, simd => for (region, bits) in regions {
+                for slot in existing(shard.region(region), &bits) {
+                    signs[slot] = Signs::of(simd, &shard.blocks()[slot], min_sum);
+                }
+            });
+        });
+    }
+
+    /// The new piece of a block, if it may have changed, and what it depends on.
+    #[inline(always)]
+    fn remesh<S: Simd>(&self, simd: S, workplace: &mut Workplace<'_>, candidate: &Candidate) -> Option<Remeshed> {
+        let Workplace { source, finder, mesher } = workplace;
+        let Candidate { index, updated } = *candidate;
+        let near = finder.near(index);
+        let place = near[OWN]?;
+        let known = self.sources.get(place).copied().unwrap_or_default();
+        // A cell's corners lie in the block and in those after it: only these change which cells have surface.
+        if updated & AFTER == 0 && updated & known == 0 {
+            return None;
+        }
+        mesher.load(&self.signs, &near, Cells::Own);
+        let sources = mesher.near.sources();
+        if updated & (known | sources) == 0 {
+            return None;
+        }
+        mesher.number_vertices(9, 0);
+        let mut mesh = Mesh {
+            vertices: vec![DVec3::ZERO; mesher.vertex_count()],
+            normals: vec![Vec3::ZERO; mesher.vertex_count()],
+            triangles: Vec::with_capacity(mesher.triangle_count() as usize),
+        };
+        mesher.vertices(simd, source, &near, index, (&mut mesh.vertices, &mut mesh.normals));
+        mesher.for_each_triangle(|corners| mesh.triangles.push(corners));
+        let piece = Piece { block: index, mesh };
+        Some(Remeshed { place, sources, piece })
+    }
+}
+
+/// What a thread meshes with.
+struct Workplace<'a> {
+    source: Source<'a>,
+    finder: Finder<'a>,
+    mesher: Mesher,
+}
+
+/// A block that was meshed again.
+struct Remeshed {
+    place: Place,
+    sources: u32,
+    piece: Piece,
+}
+
+/// The block and those after it along some axes, as numbered in [`super::near::Near`].
+const AFTER: u32 = {
+    let (mut all, mut corner) = (0, 0);
+    while corner < 8 {
+        all |= 1 << (OWN + (corner & 1) + 3 * (corner >> 1 & 1) + 9 * (corner >> 2));
+        corner += 1;
+    }
+    all
+};
+
+/// A block that was updated, or a neighbour of such.
+struct Candidate {
+    index: BlockIndex,
+    /// Which of the blocks about it were updated: bits, as numbered in [`super::near::Near`].
+    updated: u32,
+}
+
+/// The blocks of the map that were updated, and their neighbours.
+fn candidates(map: &VoxelMap, updated: &Blocks) -> Vec<Candidate> {
+    let about = updated.keys().flat_map(|&region| (0..27).map(move |n| region + offset_to(n)));
+    let mut regions: Vec<IVec3> = about.collect();
+    regions.sort_unstable_by_key(|region| region.to_array());
+    regions.dedup();
+    let of_region = |region: IVec3| {
+        let slots = map.shards[shard_of_region(region)].region(region);
+        let near: Near<&Bits> = std::array::from_fn(|n| updated.get(&(region + offset_to(n))));
+        let rows = around(|n| near[n].unwrap_or(&NO_BITS));
+        let exists = move |number: usize| slots.is_some_and(|slots| slots[number] != NO_SLOT);
+        (0..REGION_BLOCKS).filter(move |&number| exists(number)).filter_map(move |number| {
+            let updated = bits_about(&rows, number);
+            let index = block_of_region(region, number);
+            (updated != 0).then_some(Candidate { index, updated })
+        })
+    };
+    regions.into_par_iter().flat_map_iter(of_region).collect()
+}
+
+/// The slots of those blocks of a region that are there.
+fn existing(slots: Option<&[u32; REGION_BLOCKS]>, bits: &Bits) -> impl Iterator<Item = usize> {
+    let there = slots.into_iter().flatten().enumerate();
+    there
+        .filter(|&(number, &slot)| bits[number / 64][number / 8 % 8] >> (number % 8) & 1 == 1 && slot != NO_SLOT)
+        .map(|(_, &slot)| slot as usize)
+}
