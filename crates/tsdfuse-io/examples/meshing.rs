@@ -36,7 +36,7 @@ fn measure(scans: &[Scan]) -> Result<(), Box<dyn Error + Send + Sync>> {
         surface.note(&updated);
         let pieces = surface.changes(&map);
         let meshed = thread_ms() - start;
-        let vertices: usize = pieces.iter().map(|p| p.mesh.vertices.len()).sum();
+        let vertices: usize = pieces.iter().map(|p| p.vertices.len()).sum();
         rows.push([fused, meshed, updated.len() as f64, pieces.len() as f64, vertices as f64]);
     }
     println!("medians of {} scans, one thread:", rows.len());

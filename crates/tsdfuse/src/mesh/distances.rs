@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3};
 
 use super::{
     near::Near,
-    neighbourhood::{LAYER, Rows},
+    neighbourhood::{Rows, needed, row_of},
     signs::load,
 };
 use crate::{index::{BLOCK_EDGE, BLOCK_VOXELS}, map::Block};
@@ -65,32 +65,29 @@ impl Distances {
     /// Loads what the vertices on these edges need.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&mut self, simd: S, near: &Near<&Block>, edges: &[Rows; 3], min_sum: i32) {
-        let [along_x, along_y, along_z] = edges;
-        // The rows that hold an end of an edge. Those before and after them are needed for gradients.
-        let mut ends = [0; 13 * LAYER];
-        for i in LAYER..11 * LAYER {
-            ends[i + LAYER] = along_x[i] | along_y[i] | along_z[i] | along_y[i - 1] | along_z[i - LAYER];
-        }
-        for layer in 0..EDGE {
-            for lane in 0..EDGE {
-                let i = LAYER * (layer + 1) + lane;
-                let before = if lane == 0 { 0 } else { ends[i - 1] };
-                if before | ends[i] | ends[i + 1] | ends[i - LAYER] | ends[i + LAYER] != 0 {
-                    self.load_row(simd, near, lane as i32 - 1, layer as i32 - 1, min_sum);
+        let needed = needed(edges);
+        for z in -1..=9 {
+            for y in -1..=9 {
+                let voxels = needed[row_of(y, z)];
+                if voxels != 0 {
+                    self.load_row(simd, near, [y, z], voxels, min_sum);
                 }
             }
         }
     }
 
+    /// Loads at least those voxels of a row whose bits are set.
     #[inline(always)]
-    fn load_row<S: Simd>(&mut self, simd: S, near: &Near<&Block>, y: i32, z: i32, min_sum: i32) {
+    fn load_row<S: Simd>(&mut self, simd: S, near: &Near<&Block>, [y, z]: [i32; 2], voxels: u16, min_sum: i32) {
         let part = |c: i32| ((c >> 3) + 1) as usize;
         let first = 3 * part(y) + 9 * part(z);
         let row = ((y & 7) + BLOCK_EDGE * (z & 7)) as usize % 64;
         let at = place([-1, y, z]) % (PLACES - EDGE);
         let f = &mut self.f[at..at + EDGE];
         let of = [near[first], near[first + 1], near[first + 2]];
-        f[0] = one(of[0], 8 * row + 7, min_sum);
+        if voxels & 1 != 0 {
+            f[0] = one(of[0], 8 * row + 7, min_sum);
+        }
         let mut eight = [f32::NAN; 8];
         if let Some(block) = of[1] {
             let (weights, distances) = load(simd, &block.voxels.as_chunks().0[row]);
@@ -98,8 +95,10 @@ impl Distances {
             eight = weights.simd_ge(min_sum).select(quotient, f32x8::splat(simd, f32::NAN)).into();
         }
         f[1..9].copy_from_slice(&eight);
-        f[9] = one(of[2], 8 * row, min_sum);
-        f[10] = one(of[2], 8 * row + 1, min_sum);
+        if voxels >> 9 != 0 {
+            f[9] = one(of[2], 8 * row, min_sum);
+            f[10] = one(of[2], 8 * row + 1, min_sum);
+        }
     }
 
     /// Position and normal of the vertices on some edges; `origin` is the centre of the block's first voxel.

@@ -19,7 +19,7 @@ use super::{
     Mesh, MeshConfig, MeshError,
     distances::GridEdge,
     mesher::{Mesher, Source},
-    near::{Finder, OWN, PerBlock, Place, offset_to},
+    near::{CORNERS, Finder, OWN, PerBlock, Place, offset_to},
     neighbourhood::Cells,
     signs::Signs,
 };
@@ -96,10 +96,10 @@ pub(super) fn extract_from(source: &Source<'_>, signs: &PerBlock<Signs>, level: 
             let places = finder.near(patch.index);
             mesher.load(signs, &places, Cells::About);
             mesher.number_vertices(8, patch.first);
-            for n in [1, 3, 4, 9, 10, 12, 13] {
-                let number = places[OWN + n].and_then(|p| numbers.get(p));
+            for &n in &CORNERS[1..] {
+                let number = places[n].and_then(|p| numbers.get(p));
                 if let Some(patch) = number.and_then(|&n| patches.get(n as usize)) {
-                    patch.lend(&mut mesher, offset_to(OWN + n).to_array());
+                    patch.lend(&mut mesher, offset_to(n).to_array());
                 }
             }
             let out = rest.split_off(patch.vertices, patch.triangles);
@@ -142,8 +142,10 @@ fn patches(map: &VoxelMap, signs: &PerBlock<Signs>, level: Level) -> (Vec<Patch>
         let mut patches = Vec::new();
         dispatch!(level, _ => for &index in indices {
             let places = finder.near(index);
-            mesher.load(signs, &places, Cells::About);
-            patches.extend(places[OWN].and_then(|place| Patch::of(&mesher, index, place)));
+            if signs.may_have_surface(&places) {
+                mesher.load(signs, &places, Cells::About);
+                patches.extend(places[OWN].and_then(|place| Patch::of(&mesher, index, place)));
+            }
         });
         patches
     });

@@ -8,6 +8,8 @@
 //! Kept per block are the signs of its voxels, and which of its neighbours its piece of the surface depends on: 132 bytes, 3 %
 //! of a block. Pieces themselves are not kept.
 
+use std::ops::Range;
+
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{DVec3, IVec3, Vec3};
 use hashbrown::HashMap;
@@ -18,7 +20,7 @@ use super::{
     Mesh, MeshConfig, MeshError,
     extract::{BLOCKS_PER_TASK, extract_from},
     mesher::{Mesher, Source},
-    near::{Finder, Near, OWN, PerBlock, Place, offset_to},
+    near::{CORNERS, Finder, Near, OWN, PerBlock, Place, offset_to},
     neighbourhood::{Cells, around, bits_about},
     signs::{Bits, NO_BITS, Signs},
 };
@@ -39,9 +41,9 @@ use crate::{
 ///     let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(x, 0.02 * y as f32, 0.02 * z as f32)));
 ///     let scan = Scan { points: points.collect(), ..Default::default() };
 ///     surface.note(&raycast.integrate(&mut map, &scan)?.updated_blocks);
-///     for piece in surface.changes(&map) {
+///     for piece in surface.changes(&map).iter() {
 ///         // Show it in place of what this block showed before.
-///         println!("{:?}: {} triangles", piece.block, piece.mesh.triangles.len());
+///         println!("{:?}: {} triangles", piece.block, piece.triangles.len());
 ///     }
 /// }
 /// assert_eq!(surface.mesh(&map)?, tsdfuse::mesh::extract(&map)?);
@@ -66,12 +68,67 @@ const _: () = assert!(REGION_BLOCKS == 8 * 64);
 
 /// The surface within the cells of one block, whole in itself: vertices on its border are also part of the pieces beside it, with
 /// the same position and normal, bit for bit.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Piece {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Piece<'a> {
     /// The block whose voxels are the first corners of the cells.
     pub block: BlockIndex,
-    /// Its surface; empty where it is gone.
-    pub mesh: Mesh,
+    /// Vertex positions, world, metres. None: the block has no surface any more.
+    pub vertices: &'a [DVec3],
+    /// Unit normals, one per vertex.
+    pub normals: &'a [Vec3],
+    /// Three vertex numbers per triangle, counting from the piece's first vertex.
+    pub triangles: &'a [[u32; 3]],
+}
+
+/// The pieces of a surface that changed.
+#[derive(Debug, Default)]
+pub struct Changes {
+    chunks: Vec<Chunk>,
+    /// In order.
+    entries: Vec<Entry>,
+}
+
+impl Changes {
+    /// The pieces, in the order of their blocks.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = Piece<'_>> {
+        self.entries.iter().map(|entry| {
+            let mesh = &self.chunks[entry.chunk].mesh;
+            Piece {
+                block: entry.block,
+                vertices: &mesh.vertices[entry.vertices.clone()],
+                normals: &mesh.normals[entry.vertices.clone()],
+                triangles: &mesh.triangles[entry.triangles.clone()],
+            }
+        })
+    }
+
+    /// How many pieces there are.
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Whether nothing changed.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+}
+
+/// The pieces that one task made, one after another.
+#[derive(Clone, Debug, Default)]
+struct Chunk {
+    mesh: Mesh,
+    entries: Vec<Entry>,
+    /// Of the entries' blocks: where they are, and what their surface depends on.
+    sources: Vec<(Place, u32)>,
+}
+
+/// Where a piece is.
+#[derive(Clone, Debug)]
+struct Entry {
+    block: BlockIndex,
+    chunk: usize,
+    vertices: Range<usize>,
+    triangles: Range<usize>,
 }
 
 impl Default for Incremental {
@@ -101,36 +158,42 @@ impl Incremental {
         }
     }
 
-    /// The pieces that may have changed since this was asked last, in the order of their blocks. All pieces together are the
-    /// map's surface.
+    /// The pieces that may have changed since this was asked last. All pieces together are the map's surface.
     ///
     /// The map must be the one whose updates were noted.
-    pub fn changes(&mut self, map: &VoxelMap) -> Vec<Piece> {
+    pub fn changes(&mut self, map: &VoxelMap) -> Changes {
         self.read(map);
         let candidates = candidates(map, &std::mem::take(&mut self.untold));
         let this = &*self;
-        let chunks = candidates.par_chunks(BLOCKS_PER_TASK).map(|chunk| {
-            let mut workplace = Workplace {
+        let tasks = candidates.par_chunks(BLOCKS_PER_TASK).enumerate();
+        let chunks = tasks.map_init(
+            || Workplace {
                 source: this.source(map),
                 finder: Finder::new(map),
                 mesher: Mesher::new(),
-            };
-            let mut done = Vec::new();
-            dispatch!(this.level, simd => for candidate in chunk {
-                done.extend(this.remesh(simd, &mut workplace, candidate));
-            });
-            done
-        });
-        let chunks: Vec<Vec<Remeshed>> = chunks.collect();
-        let mut pieces = Vec::with_capacity(chunks.iter().map(Vec::len).sum());
-        for Remeshed { place, sources, piece } in chunks.into_iter().flatten() {
-            if let Some(known) = self.sources.get_mut(place) {
-                *known = sources;
+                chunk: Chunk::default(),
+            },
+            |workplace, (number, candidates)| {
+                dispatch!(this.level, simd => for candidate in candidates {
+                    this.remesh(simd, workplace, number, candidate);
+                });
+                workplace.chunk.take()
+            },
+        );
+        let mut changes = Changes {
+            chunks: chunks.collect(),
+            entries: Vec::new(),
+        };
+        for chunk in &mut changes.chunks {
+            for &(place, sources) in &chunk.sources {
+                if let Some(known) = self.sources.get_mut(place) {
+                    *known = sources;
+                }
             }
-            pieces.push(piece);
+            changes.entries.append(&mut chunk.entries);
         }
-        pieces.par_sort_unstable_by_key(|piece: &Piece| piece.block);
-        pieces
+        changes.entries.par_sort_unstable_by_key(|entry| entry.block);
+        changes
     }
 
     /// The whole surface: what [`super::extract_with`] finds in the map, bit for bit.
@@ -179,33 +242,50 @@ impl Incremental {
         });
     }
 
-    /// The new piece of a block, if it may have changed, and what it depends on.
+    /// Makes the new piece of a block, if it may have changed.
     #[inline(always)]
-    fn remesh<S: Simd>(&self, simd: S, workplace: &mut Workplace<'_>, candidate: &Candidate) -> Option<Remeshed> {
-        let Workplace { source, finder, mesher } = workplace;
+    fn remesh<S: Simd>(&self, simd: S, workplace: &mut Workplace<'_>, number: usize, candidate: &Candidate) {
+        let Workplace { source, finder, mesher, chunk } = workplace;
         let Candidate { index, updated } = *candidate;
         let near = finder.near(index);
-        let place = near[OWN]?;
+        let Some(place) = near[OWN] else { return };
         let known = self.sources.get(place).copied().unwrap_or_default();
         // A cell's corners lie in the block and in those after it: only these change which cells have surface.
-        if updated & AFTER == 0 && updated & known == 0 {
-            return None;
+        if updated & known == 0 && (updated & AFTER == 0 || !self.signs.may_have_surface(&near)) {
+            return;
         }
         mesher.load(&self.signs, &near, Cells::Own);
         let sources = mesher.near.sources();
         if updated & (known | sources) == 0 {
-            return None;
+            return;
         }
         mesher.number_vertices(9, 0);
-        let mut mesh = Mesh {
-            vertices: vec![DVec3::ZERO; mesher.vertex_count()],
-            normals: vec![Vec3::ZERO; mesher.vertex_count()],
-            triangles: Vec::with_capacity(mesher.triangle_count() as usize),
-        };
-        mesher.vertices(simd, source, &near, index, (&mut mesh.vertices, &mut mesh.normals));
-        mesher.for_each_triangle(|corners| mesh.triangles.push(corners));
-        let piece = Piece { block: index, mesh };
-        Some(Remeshed { place, sources, piece })
+        let Mesh { vertices, normals, triangles } = &mut chunk.mesh;
+        let (first_vertex, first_triangle) = (vertices.len(), triangles.len());
+        vertices.resize(first_vertex + mesher.vertex_count(), DVec3::ZERO);
+        normals.resize(vertices.len(), Vec3::ZERO);
+        mesher.vertices(simd, source, &near, index, (&mut vertices[first_vertex..], &mut normals[first_vertex..]));
+        mesher.for_each_triangle(|corners| triangles.push(corners));
+        chunk.sources.push((place, sources));
+        chunk.entries.push(Entry {
+            block: index,
+            chunk: number,
+            vertices: first_vertex..vertices.len(),
+            triangles: first_triangle..triangles.len(),
+        });
+    }
+}
+
+impl Chunk {
+    /// What was made, in no more memory than it needs; the room stays for the next.
+    fn take(&mut self) -> Self {
+        let taken = self.clone();
+        self.mesh.vertices.clear();
+        self.mesh.normals.clear();
+        self.mesh.triangles.clear();
+        self.entries.clear();
+        self.sources.clear();
+        taken
     }
 }
 
@@ -214,20 +294,14 @@ struct Workplace<'a> {
     source: Source<'a>,
     finder: Finder<'a>,
     mesher: Mesher,
+    chunk: Chunk,
 }
 
-/// A block that was meshed again.
-struct Remeshed {
-    place: Place,
-    sources: u32,
-    piece: Piece,
-}
-
-/// The block and those after it along some axes, as numbered in [`super::near::Near`].
+/// [`CORNERS`] as bits.
 const AFTER: u32 = {
     let (mut all, mut corner) = (0, 0);
     while corner < 8 {
-        all |= 1 << (OWN + (corner & 1) + 3 * (corner >> 1 & 1) + 9 * (corner >> 2));
+        all |= 1 << CORNERS[corner];
         corner += 1;
     }
     all

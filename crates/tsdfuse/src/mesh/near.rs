@@ -14,6 +14,10 @@ pub(crate) type Near<T> = [Option<T>; 27];
 /// The number in [`Near`] of the block itself.
 pub(crate) const OWN: usize = 13;
 
+/// The numbers in [`Near`] of the blocks that hold the corners of a block's cells: the block itself, and those after it along one
+/// axis or more, as corners are numbered in [`super::cube`].
+pub(crate) const CORNERS: [usize; 8] = [13, 14, 16, 17, 22, 23, 25, 26];
+
 /// From a block to the one with this number in [`Near`].
 #[inline(always)]
 pub(crate) fn offset_to(number: usize) -> IVec3 {

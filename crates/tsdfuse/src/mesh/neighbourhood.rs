@@ -120,27 +120,21 @@ impl Neighbourhood {
     /// After loading with [`Cells::Own`].
     #[inline(always)]
     pub(super) fn sources(&self) -> u32 {
-        let [along_x, along_y, along_z] = &self.edges;
-        // The corners of cells, the ends of edges, and what lies beside these.
-        let (mut ends, mut seen): (Rows, Rows) = ([0; LEN], [0; LEN]);
+        let mut seen = needed(&self.edges);
         for i in LAYER + 1..LEN - LAYER {
-            let cells = self.surface[i] | self.surface[i - 1] | self.surface[i - LAYER] | self.surface[i - LAYER - 1];
-            seen[i] = cells | cells << 1;
-            let x = along_x[i];
-            ends[i] = x | x << 1 | along_y[i] | along_y[i - 1] | along_z[i] | along_z[i - LAYER];
+            let corners = self.surface[i] | self.surface[i - 1] | self.surface[i - LAYER] | self.surface[i - LAYER - 1];
+            seen[i] |= corners | corners << 1;
         }
         let mut sources = 0;
-        for z in 0..11 {
+        for (z, layer) in seen.chunks(LAYER).enumerate() {
             let mut rows = [0; 3];
-            for y in 0..11 {
-                let i = LAYER * z + y;
-                let before = |by: usize| i.checked_sub(by).map_or(0, |i| ends[i]);
-                let e = ends[i] | before(1) | before(LAYER) | ends[i + 1] | ends[i + LAYER];
-                rows[(y + 7) / 8] |= seen[i] | e | ends[i] << 1 | ends[i] >> 1;
+            for (y, row) in layer[..11].iter().enumerate() {
+                rows[(y + 7) / 8] |= row;
             }
             for (k, row) in rows.into_iter().enumerate() {
-                let [before, own, after] = [row & 1 != 0, row & OWN != 0, row >> 9 != 0].map(u32::from);
-                sources |= (before | own << 1 | after << 2) << (3 * k + 9 * ((z + 7) / 8));
+                let (before, own, after) = (row & 1, u32::from(row & OWN != 0), u32::from(row >> 9 != 0));
+                let before = u32::from(before);
+                sources |= (before | own << 1 | after << 2) << (3 * k + 9 * ((z + 7) / 8 % 3));
             }
         }
         sources
@@ -169,6 +163,23 @@ impl Neighbourhood {
             }
         }
     }
+}
+
+/// The voxels that vertices on some edges need: the ends of these edges, and those beside the ends.
+#[inline(always)]
+pub(super) fn needed([along_x, along_y, along_z]: &[Rows; 3]) -> Rows {
+    let (mut ends, mut needed): (Rows, Rows) = ([0; LEN], [0; LEN]);
+    for i in LAYER + 1..LEN - LAYER {
+        let x = along_x[i];
+        ends[i] = x | x << 1 | along_y[i] | along_y[i - 1] | along_z[i] | along_z[i - LAYER];
+    }
+    // No edge ends in the outermost rows.
+    for i in 0..LEN - LAYER {
+        let (before, above) = (i.saturating_sub(1), i.saturating_sub(LAYER));
+        let beside = ends[before] | ends[above] | ends[i + 1] | ends[i + LAYER];
+        needed[i] = beside | ends[i] | ends[i] << 1 | ends[i] >> 1;
+    }
+    needed
 }
 
 /// Puts the bits of a block and its rim side by side, for x, y, z in −1..=8.

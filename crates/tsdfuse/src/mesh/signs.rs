@@ -2,7 +2,7 @@
 
 use fearless_simd::{Level, Simd, dispatch, i32x8, prelude::*};
 
-use super::near::PerBlock;
+use super::near::{CORNERS, Near, PerBlock, Place};
 use crate::map::{Block, Voxel, VoxelMap};
 
 /// A bit for each voxel of a block: bit x of byte y of layer z.
@@ -42,6 +42,23 @@ impl Signs {
     /// Of all blocks of a map.
     pub(crate) fn of_all(map: &VoxelMap, min_sum: i32, level: Level) -> PerBlock<Self> {
         PerBlock::of_all(map, |block| dispatch!(level, simd => Self::of(simd, block, min_sum)))
+    }
+}
+
+impl PerBlock<Signs> {
+    /// Whether a block's cells can have surface: whether any two of the voxels about them, which are those of the block and of the
+    /// blocks after it, lie on different sides.
+    #[inline(always)]
+    pub(super) fn may_have_surface(&self, near: &Near<Place>) -> bool {
+        let (mut front, mut back) = ([0; 64], [0; 64]);
+        for signs in CORNERS.iter().filter_map(|&n| self.get(near[n]?)) {
+            let (valid, negative) = (signs.valid.as_flattened(), signs.negative.as_flattened());
+            for i in 0..64 {
+                front[i] |= valid[i] & !negative[i];
+                back[i] |= valid[i] & negative[i];
+            }
+        }
+        front != [0; 64] && back != [0; 64]
     }
 }
 
