@@ -8,9 +8,9 @@ use std::error::Error;
 use std::sync::LazyLock;
 use std::time::Instant;
 
-use tsdfuse::mesh::{Incremental, MeshError, extract};
-use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap};
+use tsdfuse::mesh::{Changes, Incremental, MeshError, extract};
 use tsdfuse::scan::RangeLimits;
+use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap};
 
 fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
     let folder = std::env::args().nth(1).ok_or("which data set?")?;
@@ -19,7 +19,10 @@ fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
         scan.drop_invalid(&RangeLimits::default());
         Ok::<Scan, tsdfuse_io::Error>(scan)
     };
-    let scans = tsdfuse_io::open(&folder)?.into_iter().map(read).collect::<Result<Vec<_>, _>>()?;
+    let scans = tsdfuse_io::open(&folder)?
+        .into_iter()
+        .map(read)
+        .collect::<Result<Vec<_>, _>>()?;
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     one.install(|| measure(&scans))
 }
@@ -27,20 +30,35 @@ fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
 fn measure(scans: &[Scan]) -> Result<(), Box<dyn Error + Send + Sync>> {
     let mut map = VoxelMap::new(MapConfig::default())?;
     let (mut raycast, mut surface) = (Raycast::default(), Incremental::default());
-    let mut rows = Vec::new();
+    let (mut rows, mut pieces) = (Vec::new(), Changes::default());
     for scan in scans {
         let start = thread_ms();
         let updated = raycast.integrate(&mut map, scan)?.updated_blocks;
         let fused = thread_ms() - start;
         let start = thread_ms();
         surface.note(&updated);
-        let pieces = surface.changes(&map);
+        surface.changes(&map, &mut pieces);
         let meshed = thread_ms() - start;
         let vertices: usize = pieces.iter().map(|p| p.vertices.len()).sum();
-        rows.push([fused, meshed, updated.len() as f64, pieces.len() as f64, vertices as f64]);
+        rows.push([
+            fused,
+            meshed,
+            updated.len() as f64,
+            pieces.len() as f64,
+            vertices as f64,
+        ]);
     }
     println!("medians of {} scans, one thread:", rows.len());
-    for (k, name) in ["fusing, ms", "meshing what changed, ms", "blocks updated", "pieces", "their vertices"].iter().enumerate() {
+    for (k, name) in [
+        "fusing, ms",
+        "meshing what changed, ms",
+        "blocks updated",
+        "pieces",
+        "their vertices",
+    ]
+    .iter()
+    .enumerate()
+    {
         rows.sort_by(|a, b| a[k].total_cmp(&b[k]));
         println!("{:10.2} {name}", rows[rows.len() / 2][k]);
     }
@@ -57,8 +75,14 @@ fn measure(scans: &[Scan]) -> Result<(), Box<dyn Error + Send + Sync>> {
         Ok::<(), MeshError>(())
     };
     whole("meshing all", &mut || Ok(extract(&map)?.vertices.len()))?;
-    whole("meshing all, signs known", &mut || Ok(surface.mesh(&map)?.vertices.len()))?;
-    println!("{:10.1} bytes kept per block of {}", surface.memory_bytes() as f64 / map.block_count() as f64, map.block_count());
+    whole("meshing all, signs known", &mut || {
+        Ok(surface.mesh(&map)?.vertices.len())
+    })?;
+    println!(
+        "{:10.1} bytes kept per block of {}",
+        surface.memory_bytes() as f64 / map.block_count() as f64,
+        map.block_count()
+    );
     Ok(())
 }
 

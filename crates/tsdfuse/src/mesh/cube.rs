@@ -18,7 +18,7 @@ use std::sync::LazyLock;
 use super::distances::GridEdge;
 
 /// The two corners of each edge, the lower first.
-const EDGE_CORNERS: [[usize; 2]; 12] = [
+pub(super) const EDGE_CORNERS: [[usize; 2]; 12] = [
     [0, 1],
     [2, 3],
     [4, 5],
@@ -80,7 +80,7 @@ fn edge_between(a: usize, b: usize) -> usize {
         .unwrap_or_default()
 }
 
-fn triangles(negative: usize) -> Vec<[u8; 3]> {
+pub(super) fn triangles(negative: usize) -> Vec<[u8; 3]> {
     let is_negative = |corner: usize| negative >> corner & 1 == 1;
     // The segment that follows each crossed edge on the way around the surface.
     let mut next = [None; 12];

@@ -5,10 +5,13 @@ use glam::{DVec3, Vec3};
 
 use super::{
     near::Near,
-    neighbourhood::{Rows, needed, row_of},
+    neighbourhood::{OWN, Rows, needed, row_of},
     signs::load,
 };
-use crate::{index::{BLOCK_EDGE, BLOCK_VOXELS}, map::Block};
+use crate::{
+    index::BLOCK_EDGE,
+    map::{Block, Voxel},
+};
 
 /// Vertices keep this distance, in voxels, from the voxel centres: so no two share a position and no triangle is degenerate.
 const MARGIN: f32 = 1e-3;
@@ -65,7 +68,7 @@ impl Distances {
     /// Loads what the vertices on these edges need.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&mut self, simd: S, near: &Near<&Block>, edges: &[Rows; 3], min_sum: i32) {
-        let needed = needed(edges);
+        let needed = needed(simd, edges);
         for z in -1..=9 {
             for y in -1..=9 {
                 let voxels = needed[row_of(y, z)];
@@ -85,19 +88,30 @@ impl Distances {
         let at = place([-1, y, z]) % (PLACES - EDGE);
         let f = &mut self.f[at..at + EDGE];
         let of = [near[first], near[first + 1], near[first + 2]];
-        if voxels & 1 != 0 {
-            f[0] = one(of[0], 8 * row + 7, min_sum);
-        }
         let mut eight = [f32::NAN; 8];
         if let Some(block) = of[1] {
             let (weights, distances) = load(simd, &block.voxels.as_chunks().0[row]);
             let quotient = distances.to_float::<f32x8<S>>() / weights.to_float::<f32x8<S>>();
-            eight = weights.simd_ge(min_sum).select(quotient, f32x8::splat(simd, f32::NAN)).into();
+            eight = weights
+                .simd_ge(min_sum)
+                .select(quotient, f32x8::splat(simd, f32::NAN))
+                .into();
         }
         f[1..9].copy_from_slice(&eight);
-        if voxels >> 9 != 0 {
-            f[9] = one(of[2], 8 * row, min_sum);
-            f[10] = one(of[2], 8 * row + 1, min_sum);
+        if voxels & !OWN != 0 {
+            // Without a branch on what is read, which may be far away.
+            let [mut weights, mut distances] = [[0; 8]; 2];
+            let rim = [(0, 7), (2, 0), (2, 1)];
+            for (k, (n, x)) in rim.into_iter().enumerate() {
+                let voxel = of[n].map_or(Voxel::default(), |block| block.voxels[8 * row + x]);
+                (weights[k], distances[k]) = (voxel.weight_sum as i32, voxel.distance_sum);
+            }
+            let rim = quotient(
+                i32x8::simd_from(simd, weights),
+                i32x8::simd_from(simd, distances),
+                min_sum,
+            );
+            (f[0], f[9], f[10]) = (rim[0], rim[1], rim[2]);
         }
     }
 
@@ -167,20 +181,25 @@ impl Distances {
             (whole(codes >> 13) + on_x.select(t, zero)).into(),
             (whole(codes >> 17) + on_y.select(t, zero)).into(),
             (whole(codes >> 21) + on_z.select(t, zero)).into(),
-            has_direction.select(gx * per_length, on_x.select(along_edge, zero)).into(),
-            has_direction.select(gy * per_length, on_y.select(along_edge, zero)).into(),
-            has_direction.select(gz * per_length, on_z.select(along_edge, zero)).into(),
+            has_direction
+                .select(gx * per_length, on_x.select(along_edge, zero))
+                .into(),
+            has_direction
+                .select(gy * per_length, on_y.select(along_edge, zero))
+                .into(),
+            has_direction
+                .select(gz * per_length, on_z.select(along_edge, zero))
+                .into(),
         ]
     }
 }
 
-/// F of one voxel of a block.
+/// F of eight voxels.
 #[inline(always)]
-fn one(block: Option<&Block>, local: usize, min_sum: i32) -> f32 {
-    match block.map(|block| block.voxels[local % BLOCK_VOXELS]) {
-        Some(v) if v.weight_sum as i32 >= min_sum => v.distance_sum as f32 / v.weight_sum as i32 as f32,
-        _ => f32::NAN,
-    }
+fn quotient<S: Simd>(weights: i32x8<S>, distances: i32x8<S>, min_sum: i32) -> [f32; 8] {
+    let f = distances.to_float::<f32x8<S>>() / weights.to_float::<f32x8<S>>();
+    let is_observed = weights.simd_ge(min_sum);
+    is_observed.select(f, f32x8::splat(weights.token(), f32::NAN)).into()
 }
 
 /// F's derivative at voxels along one axis, per voxel: the central difference where both sides are observed.

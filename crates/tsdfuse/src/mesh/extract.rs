@@ -94,7 +94,7 @@ pub(super) fn extract_from(source: &Source<'_>, signs: &PerBlock<Signs>, level: 
         let (mut finder, mut mesher) = (Finder::new(map), Mesher::new());
         dispatch!(level, simd => for patch in own {
             let places = finder.near(patch.index);
-            mesher.load(signs, &places, Cells::About);
+            mesher.load(simd, signs, &places, Cells::About);
             mesher.number_vertices(8, patch.first);
             for &n in &CORNERS[1..] {
                 let number = places[n].and_then(|p| numbers.get(p));
@@ -140,10 +140,10 @@ fn patches(map: &VoxelMap, signs: &PerBlock<Signs>, level: Level) -> (Vec<Patch>
     let chunks = indices.par_chunks(BLOCKS_PER_TASK).map(|indices| {
         let (mut finder, mut mesher) = (Finder::new(map), Mesher::new());
         let mut patches = Vec::new();
-        dispatch!(level, _ => for &index in indices {
+        dispatch!(level, simd => for &index in indices {
             let places = finder.near(index);
             if signs.may_have_surface(&places) {
-                mesher.load(signs, &places, Cells::About);
+                mesher.load(simd, signs, &places, Cells::About);
                 patches.extend(places[OWN].and_then(|place| Patch::of(&mesher, index, place)));
             }
         });

@@ -20,13 +20,14 @@ use super::{
     Mesh, MeshConfig, MeshError,
     extract::{BLOCKS_PER_TASK, extract_from},
     mesher::{Mesher, Source},
-    near::{CORNERS, Finder, Near, OWN, PerBlock, Place, offset_to},
+    near::{CORNERS, Finder, Near, PerBlock, Place, offset_to},
     neighbourhood::{Cells, around, bits_about},
     signs::{Bits, NO_BITS, Signs},
 };
 use crate::{
     index::BlockIndex,
-    map::{NO_SLOT, REGION_BLOCKS, SHARDS, VoxelMap, block_of_region, in_region, shard_of_region},
+    map::{Block, NO_SLOT, REGION_BLOCKS, SHARDS, VoxelMap, block_of_region, in_region, shard_of_region},
+    memory::prefetch,
 };
 
 /// The surface of a map that is fused into meanwhile, by pieces that changed.
@@ -34,14 +35,15 @@ use crate::{
 /// Tell it of every integration ([`Incremental::note`]), and ask as often as you like: after each scan, once a second, at the end.
 ///
 /// ```
-/// use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3, mesh::Incremental};
+/// use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3, mesh::{Changes, Incremental}};
 /// let mut map = VoxelMap::new(MapConfig::default())?;
-/// let (mut raycast, mut surface) = (Raycast::default(), Incremental::default());
+/// let (mut raycast, mut surface, mut changes) = (Raycast::default(), Incremental::default(), Changes::default());
 /// for x in [1.0, 1.5] {
 ///     let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(x, 0.02 * y as f32, 0.02 * z as f32)));
 ///     let scan = Scan { points: points.collect(), ..Default::default() };
 ///     surface.note(&raycast.integrate(&mut map, &scan)?.updated_blocks);
-///     for piece in surface.changes(&map).iter() {
+///     surface.changes(&map, &mut changes);
+///     for piece in changes.iter() {
 ///         // Show it in place of what this block showed before.
 ///         println!("{:?}: {} triangles", piece.block, piece.triangles.len());
 ///     }
@@ -114,7 +116,7 @@ impl Changes {
 }
 
 /// The pieces that one task made, one after another.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 struct Chunk {
     mesh: Mesh,
     entries: Vec<Entry>,
@@ -158,42 +160,47 @@ impl Incremental {
         }
     }
 
-    /// The pieces that may have changed since this was asked last. All pieces together are the map's surface.
+    /// Puts the pieces that may have changed since this was asked last into `changes`, in place of what was there. All pieces
+    /// together are the map's surface.
     ///
-    /// The map must be the one whose updates were noted.
-    pub fn changes(&mut self, map: &VoxelMap) -> Changes {
+    /// The map must be the one whose updates were noted. Using the same [`Changes`] again saves asking for memory.
+    pub fn changes(&mut self, map: &VoxelMap, changes: &mut Changes) {
         self.read(map);
         let candidates = candidates(map, &std::mem::take(&mut self.untold));
         let this = &*self;
-        let tasks = candidates.par_chunks(BLOCKS_PER_TASK).enumerate();
-        let chunks = tasks.map_init(
+        changes
+            .chunks
+            .resize_with(candidates.len().div_ceil(BLOCKS_PER_TASK), Chunk::default);
+        let tasks = changes
+            .chunks
+            .par_iter_mut()
+            .zip(candidates.par_chunks(BLOCKS_PER_TASK));
+        tasks.enumerate().for_each_init(
             || Workplace {
                 source: this.source(map),
                 finder: Finder::new(map),
                 mesher: Mesher::new(),
-                chunk: Chunk::default(),
             },
-            |workplace, (number, candidates)| {
-                dispatch!(this.level, simd => for candidate in candidates {
-                    this.remesh(simd, workplace, number, candidate);
+            |workplace, (number, (chunk, candidates))| {
+                chunk.clear();
+                dispatch!(this.level, simd => for (k, candidate) in candidates.iter().enumerate() {
+                    if let Some(next) = candidates.get(k + 1).filter(|next| this.sources.get(next.place) != Some(&0)) {
+                        prefetch_block(next.place.block(map));
+                    }
+                    this.remesh(simd, workplace, number, candidate, chunk);
                 });
-                workplace.chunk.take()
             },
         );
-        let mut changes = Changes {
-            chunks: chunks.collect(),
-            entries: Vec::new(),
-        };
-        for chunk in &mut changes.chunks {
+        changes.entries.clear();
+        for chunk in &changes.chunks {
+            changes.entries.extend_from_slice(&chunk.entries);
             for &(place, sources) in &chunk.sources {
                 if let Some(known) = self.sources.get_mut(place) {
                     *known = sources;
                 }
             }
-            changes.entries.append(&mut chunk.entries);
         }
         changes.entries.par_sort_unstable_by_key(|entry| entry.block);
-        changes
     }
 
     /// The whole surface: what [`super::extract_with`] finds in the map, bit for bit.
@@ -235,7 +242,11 @@ impl Incremental {
         let (level, min_sum) = (self.level, self.min_sum);
         shards.for_each(|((signs, shard), regions)| {
             dispatch!(level, simd => for (region, bits) in regions {
-                for slot in existing(shard.region(region), &bits) {
+                let slots: Vec<usize> = existing(shard.region(region), &bits).collect();
+                for (k, &slot) in slots.iter().enumerate() {
+                    if let Some(&next) = slots.get(k + 1) {
+                        prefetch_block(&shard.blocks()[next]);
+                    }
                     signs[slot] = Signs::of(simd, &shard.blocks()[slot], min_sum);
                 }
             });
@@ -244,27 +255,46 @@ impl Incremental {
 
     /// Makes the new piece of a block, if it may have changed.
     #[inline(always)]
-    fn remesh<S: Simd>(&self, simd: S, workplace: &mut Workplace<'_>, number: usize, candidate: &Candidate) {
-        let Workplace { source, finder, mesher, chunk } = workplace;
-        let Candidate { index, updated } = *candidate;
-        let near = finder.near(index);
-        let Some(place) = near[OWN] else { return };
+    fn remesh<S: Simd>(
+        &self,
+        simd: S,
+        workplace: &mut Workplace<'_>,
+        number: usize,
+        candidate: &Candidate,
+        chunk: &mut Chunk,
+    ) {
+        let Workplace { source, finder, mesher } = workplace;
+        let Candidate { index, place, updated } = *candidate;
         let known = self.sources.get(place).copied().unwrap_or_default();
         // A cell's corners lie in the block and in those after it: only these change which cells have surface.
-        if updated & known == 0 && (updated & AFTER == 0 || !self.signs.may_have_surface(&near)) {
+        if updated & known == 0 && updated & AFTER == 0 {
             return;
         }
-        mesher.load(&self.signs, &near, Cells::Own);
-        let sources = mesher.near.sources();
+        let near = finder.near(index);
+        if updated & known == 0 && !self.signs.may_have_surface(&near) {
+            return;
+        }
+        mesher.load(simd, &self.signs, &near, Cells::Own);
+        let sources = mesher.near.sources(simd);
         if updated & (known | sources) == 0 {
             return;
         }
         mesher.number_vertices(9, 0);
-        let Mesh { vertices, normals, triangles } = &mut chunk.mesh;
+        let Mesh {
+            vertices,
+            normals,
+            triangles,
+        } = &mut chunk.mesh;
         let (first_vertex, first_triangle) = (vertices.len(), triangles.len());
         vertices.resize(first_vertex + mesher.vertex_count(), DVec3::ZERO);
         normals.resize(vertices.len(), Vec3::ZERO);
-        mesher.vertices(simd, source, &near, index, (&mut vertices[first_vertex..], &mut normals[first_vertex..]));
+        mesher.vertices(
+            simd,
+            source,
+            &near,
+            index,
+            (&mut vertices[first_vertex..], &mut normals[first_vertex..]),
+        );
         mesher.for_each_triangle(|corners| triangles.push(corners));
         chunk.sources.push((place, sources));
         chunk.entries.push(Entry {
@@ -277,15 +307,12 @@ impl Incremental {
 }
 
 impl Chunk {
-    /// What was made, in no more memory than it needs; the room stays for the next.
-    fn take(&mut self) -> Self {
-        let taken = self.clone();
+    fn clear(&mut self) {
         self.mesh.vertices.clear();
         self.mesh.normals.clear();
         self.mesh.triangles.clear();
         self.entries.clear();
         self.sources.clear();
-        taken
     }
 }
 
@@ -294,7 +321,6 @@ struct Workplace<'a> {
     source: Source<'a>,
     finder: Finder<'a>,
     mesher: Mesher,
-    chunk: Chunk,
 }
 
 /// [`CORNERS`] as bits.
@@ -310,28 +336,48 @@ const AFTER: u32 = {
 /// A block that was updated, or a neighbour of such.
 struct Candidate {
     index: BlockIndex,
+    place: Place,
     /// Which of the blocks about it were updated: bits, as numbered in [`super::near::Near`].
     updated: u32,
 }
 
 /// The blocks of the map that were updated, and their neighbours.
 fn candidates(map: &VoxelMap, updated: &Blocks) -> Vec<Candidate> {
-    let about = updated.keys().flat_map(|&region| (0..27).map(move |n| region + offset_to(n)));
+    let about = updated
+        .keys()
+        .flat_map(|&region| (0..27).map(move |n| region + offset_to(n)));
     let mut regions: Vec<IVec3> = about.collect();
     regions.sort_unstable_by_key(|region| region.to_array());
     regions.dedup();
     let of_region = |region: IVec3| {
-        let slots = map.shards[shard_of_region(region)].region(region);
+        let shard = shard_of_region(region);
+        let slots = map.shards[shard].region(region);
         let near: Near<&Bits> = std::array::from_fn(|n| updated.get(&(region + offset_to(n))));
         let rows = around(|n| near[n].unwrap_or(&NO_BITS));
-        let exists = move |number: usize| slots.is_some_and(|slots| slots[number] != NO_SLOT);
-        (0..REGION_BLOCKS).filter(move |&number| exists(number)).filter_map(move |number| {
+        let there = slots
+            .into_iter()
+            .flatten()
+            .enumerate()
+            .filter(|(_, slot)| **slot != NO_SLOT);
+        there.filter_map(move |(number, &slot)| {
             let updated = bits_about(&rows, number);
-            let index = block_of_region(region, number);
-            (updated != 0).then_some(Candidate { index, updated })
+            (updated != 0).then_some(Candidate {
+                index: block_of_region(region, number),
+                place: Place {
+                    shard: shard as u32,
+                    slot,
+                },
+                updated,
+            })
         })
     };
     regions.into_par_iter().flat_map_iter(of_region).collect()
+}
+
+/// Asks for the memory of a block before it is read.
+#[inline(always)]
+fn prefetch_block(block: &Block) {
+    block.voxels.iter().step_by(8).for_each(prefetch);
 }
 
 /// The slots of those blocks of a region that are there.

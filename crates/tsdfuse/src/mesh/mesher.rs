@@ -10,7 +10,10 @@ use super::{
     neighbourhood::{Cells, Neighbourhood, row_of},
     signs::Signs,
 };
-use crate::{index::BlockIndex, map::{Block, VoxelMap}};
+use crate::{
+    index::BlockIndex,
+    map::{Block, VoxelMap},
+};
 
 /// What meshing a block needs, kept from block to block.
 pub(super) struct Mesher {
@@ -34,12 +37,12 @@ impl Mesher {
 
     /// Judges a block.
     #[inline(always)]
-    pub(super) fn load(&mut self, signs: &PerBlock<Signs>, places: &Near<Place>, cells: Cells) {
+    pub(super) fn load<S: Simd>(&mut self, simd: S, signs: &PerBlock<Signs>, places: &Near<Place>, cells: Cells) {
         let mut near: Near<&Signs> = [None; 27];
         for (near, place) in near.iter_mut().zip(places) {
             *near = place.and_then(|p| signs.get(p));
         }
-        self.near.load(&near, cells);
+        self.near.load(simd, &near, cells);
     }
 
     /// Numbers the vertices on the edges from voxels with coordinates below `end`, 8 or 9, from `first` on.
@@ -113,7 +116,8 @@ impl Mesher {
     pub(super) fn triangle_count(&self) -> u32 {
         let cases = &*CASES;
         let mut count = 0;
-        self.near.for_each_cell(|_, negative| count += u32::from(cases[negative % 256].count));
+        self.near
+            .for_each_cell(|_, negative| count += u32::from(cases[negative % 256].count));
         count
     }
 }

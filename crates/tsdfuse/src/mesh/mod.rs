@@ -7,13 +7,15 @@ mod incremental;
 mod mesher;
 pub(crate) mod near;
 pub(crate) mod neighbourhood;
+#[cfg(test)]
+mod oracle;
 pub(crate) mod signs;
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 pub use extract::{extract, extract_with};
-pub use incremental::{Incremental, Piece};
+pub use incremental::{Changes, Incremental, Piece};
 
 use crate::map::min_weight_sum;
 

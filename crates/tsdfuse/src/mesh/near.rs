@@ -28,8 +28,8 @@ pub(crate) fn offset_to(number: usize) -> IVec3 {
 /// Where a block is in the map. It stays there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Place {
-    shard: u32,
-    slot: u32,
+    pub(crate) shard: u32,
+    pub(crate) slot: u32,
 }
 
 impl Place {

@@ -1,6 +1,8 @@
 //! The signs of a block and of a rim around it, and what follows from them: the cells that the surface passes, and the grid
 //! edges that it crosses.
 
+use fearless_simd::{Simd, prelude::*, u16x16};
+
 use super::{
     near::Near,
     signs::{Bits, NO_BITS, Signs},
@@ -14,12 +16,14 @@ const LEN: usize = 12 * LAYER;
 
 /// Something of each row of voxels along x; that of row (y, z) has number [`row_of`]. In a row of bits, voxel x is bit x + 1.
 ///
-/// Numbers of rows beside each other differ by 1 or [`LAYER`], so that all are judged in one loop, which the compiler turns into
-/// vector instructions.
+/// Numbers of rows beside each other differ by 1 or [`LAYER`], so that a whole layer is judged at once.
 pub(super) type Rows = [u16; LEN];
 
 /// The bits of the block's own voxels in a row.
-const OWN: u16 = 0b1_1111_1110;
+pub(super) const OWN: u16 = 0b1_1111_1110;
+
+/// The bits of the block's own voxels in a layer.
+const OWN_ROWS: [u16; LAYER] = [0, OWN, OWN, OWN, OWN, OWN, OWN, OWN, OWN, 0, 0, 0, 0, 0, 0, 0];
 
 /// The signs of one block and of the rim that its cells and edges see, x, y, z in −1..=8.
 #[derive(Clone, Debug)]
@@ -53,44 +57,43 @@ impl Neighbourhood {
 
     /// Judges a block by its signs and those of its neighbours.
     #[inline(always)]
-    pub(crate) fn load(&mut self, near: &Near<&Signs>, cells: Cells) {
+    pub(crate) fn load<S: Simd>(&mut self, simd: S, near: &Near<&Signs>, cells: Cells) {
         self.valid = around(|n| near[n].map_or(&NO_BITS, |signs| &signs.valid));
         self.negative = around(|n| near[n].map_or(&NO_BITS, |signs| &signs.negative));
-        self.find_surface(cells);
-    }
-
-    #[inline(always)]
-    fn find_surface(&mut self, cells: Cells) {
         let (valid, negative) = (&self.valid, &self.negative);
-        // Cells that are observed at all eight corners, for y, z in −1..=7.
-        let mut observed = [0; LEN];
-        for i in 0..LEN - LAYER - 1 {
-            let (any, all) = (negative[i] | negative[i + 1], negative[i] & negative[i + 1]);
-            let (above, behind) = (i + LAYER, i + LAYER + 1);
-            let any = any | negative[above] | negative[behind];
-            let all = all & negative[above] & negative[behind];
-            let corners = valid[i] & valid[i + 1] & valid[above] & valid[behind];
-            observed[i] = corners & corners >> 1;
-            self.surface[i] = (any | any >> 1) & !(all & all >> 1);
-        }
-        if cells == Cells::Own {
-            for (z, layer) in observed.chunks_mut(LAYER).enumerate() {
-                for (y, row) in layer.iter_mut().enumerate() {
-                    *row &= if (1..9).contains(&y) && (1..9).contains(&z) { OWN } else { 0 };
-                }
+        // Cells that are observed at all eight corners, one layer on.
+        let mut observed = [0; LEN + LAYER];
+        for z in 0..10 {
+            let i = LAYER * z;
+            let (n, behind) = (rows(simd, negative, i), rows(simd, negative, i + 1));
+            let (above, both) = (rows(simd, negative, i + LAYER), rows(simd, negative, i + LAYER + 1));
+            let (any, all) = (n | behind | above | both, n & behind & above & both);
+            let corners = rows(simd, valid, i) & rows(simd, valid, i + 1);
+            let corners = corners & rows(simd, valid, i + LAYER) & rows(simd, valid, i + LAYER + 1);
+            let mut cell = corners & corners >> 1;
+            if cells == Cells::Own {
+                let own = if (1..9).contains(&z) { OWN_ROWS } else { [0; LAYER] };
+                cell &= u16x16::simd_from(simd, own);
             }
+            cell.store_slice(&mut observed[i + LAYER..i + 2 * LAYER]);
+            let surface = (any | any >> 1) & !(all & all >> 1) & cell;
+            surface.store_slice(&mut self.surface[i..i + LAYER]);
         }
-        self.surface.iter_mut().zip(observed).for_each(|(s, observed)| *s &= observed);
         // Edges with an observed cell beside them are observed at both ends. A cell's bit shifted up by one stands for the
         // cell at x − 1.
-        let [along_x, along_y, along_z] = &mut self.edges;
-        for i in LAYER + 1..LEN - LAYER {
-            let n = negative[i];
-            let about_y = observed[i] | observed[i - LAYER];
-            let about_z = observed[i] | observed[i - 1];
-            along_x[i] = (n ^ n >> 1) & (about_y | observed[i - 1] | observed[i - LAYER - 1]);
-            along_y[i] = (n ^ negative[i + 1]) & (about_y | about_y << 1);
-            along_z[i] = (n ^ negative[i + LAYER]) & (about_z | about_z << 1);
+        for z in 1..10 {
+            let i = LAYER * z;
+            let (n, behind) = (rows(simd, negative, i), rows(simd, negative, i + 1));
+            let above = rows(simd, negative, i + LAYER);
+            let (here, before) = (rows(simd, &observed, i + LAYER), rows(simd, &observed, i + LAYER - 1));
+            let (below, both) = (rows(simd, &observed, i), rows(simd, &observed, i - 1));
+            let (about_y, about_z) = (here | below, here | before);
+            let along_x = (n ^ n >> 1) & (about_y | before | both);
+            let along_y = (n ^ behind) & (about_y | about_y << 1);
+            let along_z = (n ^ above) & (about_z | about_z << 1);
+            for (to, edges) in self.edges.iter_mut().zip([along_x, along_y, along_z]) {
+                edges.store_slice(&mut to[i..i + LAYER]);
+            }
         }
     }
 
@@ -119,11 +122,14 @@ impl Neighbourhood {
     /// The blocks whose voxels the surface in the block's cells depends on, with its normals: bits, as numbered in [`Near`].
     /// After loading with [`Cells::Own`].
     #[inline(always)]
-    pub(super) fn sources(&self) -> u32 {
-        let mut seen = needed(&self.edges);
-        for i in LAYER + 1..LEN - LAYER {
-            let corners = self.surface[i] | self.surface[i - 1] | self.surface[i - LAYER] | self.surface[i - LAYER - 1];
-            seen[i] |= corners | corners << 1;
+    pub(super) fn sources<S: Simd>(&self, simd: S) -> u32 {
+        let mut seen = needed(simd, &self.edges);
+        for z in 1..10 {
+            let i = LAYER * z;
+            let cells = rows(simd, &self.surface, i) | rows(simd, &self.surface, i - 1);
+            let cells = cells | rows(simd, &self.surface, i - LAYER);
+            let cells = cells | rows(simd, &self.surface, (i - LAYER).saturating_sub(1));
+            (cells | cells << 1 | rows(simd, &seen, i)).store_slice(&mut seen[i..i + LAYER]);
         }
         let mut sources = 0;
         for (z, layer) in seen.chunks(LAYER).enumerate() {
@@ -165,19 +171,31 @@ impl Neighbourhood {
     }
 }
 
+/// Sixteen rows.
+#[inline(always)]
+fn rows<S: Simd>(simd: S, all: &[u16], first: usize) -> u16x16<S> {
+    u16x16::from_slice(simd, &all[first..first + LAYER])
+}
+
 /// The voxels that vertices on some edges need: the ends of these edges, and those beside the ends.
 #[inline(always)]
-pub(super) fn needed([along_x, along_y, along_z]: &[Rows; 3]) -> Rows {
-    let (mut ends, mut needed): (Rows, Rows) = ([0; LEN], [0; LEN]);
-    for i in LAYER + 1..LEN - LAYER {
-        let x = along_x[i];
-        ends[i] = x | x << 1 | along_y[i] | along_y[i - 1] | along_z[i] | along_z[i - LAYER];
+pub(super) fn needed<S: Simd>(simd: S, [along_x, along_y, along_z]: &[Rows; 3]) -> Rows {
+    // One layer on.
+    let mut ends = [0; LEN + 2 * LAYER];
+    for z in 1..11 {
+        let i = LAYER * z;
+        let x = rows(simd, along_x, i);
+        let y = rows(simd, along_y, i) | rows(simd, along_y, i - 1);
+        let z = rows(simd, along_z, i) | rows(simd, along_z, i - LAYER);
+        (x | x << 1 | y | z).store_slice(&mut ends[i + LAYER..i + 2 * LAYER]);
     }
-    // No edge ends in the outermost rows.
-    for i in 0..LEN - LAYER {
-        let (before, above) = (i.saturating_sub(1), i.saturating_sub(LAYER));
-        let beside = ends[before] | ends[above] | ends[i + 1] | ends[i + LAYER];
-        needed[i] = beside | ends[i] | ends[i] << 1 | ends[i] >> 1;
+    let mut needed = [0; LEN];
+    for z in 0..11 {
+        let i = LAYER * z;
+        let here = rows(simd, &ends, i + LAYER);
+        let beside_y = rows(simd, &ends, i + LAYER - 1) | rows(simd, &ends, i + LAYER + 1);
+        let beside_z = rows(simd, &ends, i) | rows(simd, &ends, i + 2 * LAYER);
+        (here | here << 1 | here >> 1 | beside_y | beside_z).store_slice(&mut needed[i..i + LAYER]);
     }
     needed
 }
@@ -186,19 +204,25 @@ pub(super) fn needed([along_x, along_y, along_z]: &[Rows; 3]) -> Rows {
 #[inline(always)]
 pub(super) fn around<'a>(bits: impl Fn(usize) -> &'a Bits) -> Rows {
     let mut rows = [0; LEN];
-    for z in -1..=8_i32 {
-        let (layer, local) = (LAYER * (z + 1) as usize, (z & 7) as usize);
-        let of = |n: usize| &bits(n + 9 * ((z >> 3) + 1) as usize)[local];
-        for (y, y_of_block, count, first) in [(0, 7, 1, 0), (1, 0, 8, 3), (9, 0, 1, 6)] {
-            let (left, own, right) = (of(first), of(first + 1), of(first + 2));
-            for k in 0..count {
-                let k_of_block = y_of_block + k;
-                let (left, own, right) = (left[k_of_block], u16::from(own[k_of_block]), u16::from(right[k_of_block]));
-                rows[layer + y + k] = u16::from(left >> 7) | own << 1 | (right & 1) << 9;
-            }
+    for z in 0..10 {
+        // z − 1 is a layer of the block below, of this one, or of that above.
+        let (part, local) = ((z + 7) / 8, (z + 7) % 8);
+        let layer = &mut rows[LAYER * z..LAYER * (z + 1)];
+        let of = |n: usize| &bits(n + 9 * part)[local];
+        layer[0] = row(of(0)[7], of(1)[7], of(2)[7]);
+        let (left, own, right) = (of(3), of(4), of(5));
+        for y in 0..8 {
+            layer[y + 1] = row(left[y], own[y], right[y]);
         }
+        layer[9] = row(of(6)[0], of(7)[0], of(8)[0]);
     }
     rows
+}
+
+/// A row of a block between those of its neighbours.
+#[inline(always)]
+fn row(left: u8, own: u8, right: u8) -> u16 {
+    u16::from(left >> 7) | u16::from(own) << 1 | u16::from(right & 1) << 9
 }
 
 /// The bits about each of the own bits' number x + 8y + 64z: as numbered in [`Near`].
@@ -206,7 +230,11 @@ pub(super) fn around<'a>(bits: impl Fn(usize) -> &'a Bits) -> Rows {
 pub(super) fn bits_about(rows: &Rows, number: usize) -> u32 {
     let (x, row) = (number % 8, row_of(number as i32 / 8 % 8, number as i32 / 64 % 8));
     let mut all = 0;
-    for (k, lane) in [0, LAYER, 2 * LAYER].into_iter().flat_map(|layer| [layer, layer + 1, layer + 2]).enumerate() {
+    for (k, lane) in [0, LAYER, 2 * LAYER]
+        .into_iter()
+        .flat_map(|layer| [layer, layer + 1, layer + 2])
+        .enumerate()
+    {
         all |= u32::from(rows[row + lane - LAYER - 1] >> x & 7) << (3 * k);
     }
     all

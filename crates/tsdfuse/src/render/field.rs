@@ -44,10 +44,18 @@ impl<'a> Field<'a> {
                 |(finder, near), index| {
                     let places = finder.near(index);
                     let signs = places.map(|place| place.and_then(|p| signs.get(p)));
-                    dispatch!(level, _ => near.load(&signs, Cells::Own));
+                    dispatch!(level, simd => near.load(simd, &signs, Cells::Own));
                     let octants = octants(near);
                     let blocks = || places.map(|place| place.map(|p| p.block(map)));
-                    (octants != [0; 8]).then(|| (Near { index, blocks: blocks() }, octants))
+                    (octants != [0; 8]).then(|| {
+                        (
+                            Near {
+                                index,
+                                blocks: blocks(),
+                            },
+                            octants,
+                        )
+                    })
                 },
             )
             .flatten()
