@@ -34,16 +34,16 @@ pub(crate) struct Neighbourhood {
     negative: Rows,
     /// Does the surface pass the cell above the voxel: observed at all corners, on both sides of the surface?
     surface: Rows,
-    /// Does the surface cross the grid edge from the voxel along x, y and z?
+    /// Is there a vertex on the grid edge from the voxel along x, y and z?
     pub(super) edges: [Rows; 3],
 }
 
-/// Which cells an edge may belong to.
+/// What is asked of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Cells {
-    /// Those of the block.
+    /// The edges of its cells, x, y, z in 0..=8, that these cells make vertices of.
     Own,
-    /// These, and those of its neighbours about its edges.
+    /// The edges from its voxels that any cells make vertices of, its own or those of its neighbours.
     About,
 }
 
@@ -72,8 +72,7 @@ impl Neighbourhood {
             let corners = corners & rows(simd, valid, i + LAYER) & rows(simd, valid, i + LAYER + 1);
             let mut cell = corners & corners >> 1;
             if cells == Cells::Own {
-                let own = if (1..9).contains(&z) { OWN_ROWS } else { [0; LAYER] };
-                cell &= u16x16::simd_from(simd, own);
+                cell &= own_rows(simd, z);
             }
             cell.store_slice(&mut observed[i + LAYER..i + 2 * LAYER]);
             let surface = (any | any >> 1) & !(all & all >> 1) & cell;
@@ -91,7 +90,10 @@ impl Neighbourhood {
             let along_x = (n ^ n >> 1) & (about_y | before | both);
             let along_y = (n ^ behind) & (about_y | about_y << 1);
             let along_z = (n ^ above) & (about_z | about_z << 1);
-            for (to, edges) in self.edges.iter_mut().zip([along_x, along_y, along_z]) {
+            for (to, mut edges) in self.edges.iter_mut().zip([along_x, along_y, along_z]) {
+                if cells == Cells::About {
+                    edges &= own_rows(simd, z);
+                }
                 edges.store_slice(&mut to[i..i + LAYER]);
             }
         }
@@ -175,6 +177,12 @@ impl Neighbourhood {
 #[inline(always)]
 fn rows<S: Simd>(simd: S, all: &[u16], first: usize) -> u16x16<S> {
     u16x16::from_slice(simd, &all[first..first + LAYER])
+}
+
+/// The bits of the block's own voxels in layer z − 1.
+#[inline(always)]
+fn own_rows<S: Simd>(simd: S, z: usize) -> u16x16<S> {
+    u16x16::simd_from(simd, if (1..9).contains(&z) { OWN_ROWS } else { [0; LAYER] })
 }
 
 /// The voxels that vertices on some edges need: the ends of these edges, and those beside the ends.
