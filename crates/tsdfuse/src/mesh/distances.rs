@@ -53,6 +53,14 @@ impl GridEdge {
         Self(4 * place(voxel) as u32 + axis as u32 | coordinates << 13)
     }
 
+    /// The centre of the first voxel of the block that owns it, of two that lie beside each other: so that a vertex has the same
+    /// position whoever works it out.
+    #[inline(always)]
+    fn origin(self, [own, after]: [DVec3; 2]) -> DVec3 {
+        let of = |own, after, bit: u32| if self.0 >> bit & 1 == 0 { own } else { after };
+        DVec3::new(of(own.x, after.x, 16), of(own.y, after.y, 20), of(own.z, after.z, 24))
+    }
+
     /// Its number.
     #[inline(always)]
     pub(super) fn number(self) -> usize {
@@ -115,13 +123,14 @@ impl Distances {
         }
     }
 
-    /// Position and normal of the vertices on some edges; `origin` is the centre of the block's first voxel.
+    /// Position and normal of the vertices on some edges; `origins` are the centres of the first voxels of
+    /// the block and of the one after it along all axes.
     #[inline(always)]
     pub(super) fn vertices<S: Simd>(
         &self,
         simd: S,
         edges: &[GridEdge],
-        origin: DVec3,
+        origins: [DVec3; 2],
         voxel_size_m: f64,
         positions: &mut [DVec3],
         normals: &mut [Vec3],
@@ -133,13 +142,13 @@ impl Distances {
             let [x, y, z, normal_x, normal_y, normal_z] = self.eight(simd, &eight);
             for (lane, (position, normal)) in positions.iter_mut().zip(normals).enumerate() {
                 let in_voxels = Vec3::new(x[lane], y[lane], z[lane]);
-                *position = origin + in_voxels.as_dvec3() * voxel_size_m;
+                *position = edges[lane].origin(origins) + in_voxels.as_dvec3() * voxel_size_m;
                 *normal = Vec3::new(normal_x[lane], normal_y[lane], normal_z[lane]);
             }
         }
     }
 
-    /// Position relative to the centre of the block's first voxel, in voxels, and normal of the vertices on eight edges.
+    /// Position relative to the centre of the first voxel of the block that owns the edge, in voxels, and normal of the vertices on eight edges.
     #[inline(always)]
     fn eight<S: Simd>(&self, simd: S, edges: &[GridEdge; 8]) -> [[f32; 8]; 6] {
         let mut codes = [0; 8];
@@ -217,8 +226,8 @@ fn is_number<S: Simd>(f: f32x8<S>) -> mask32x8<S> {
     f.simd_eq(f)
 }
 
-/// The coordinate in the lowest four bits.
+/// The coordinate in the lowest four bits, within the block that owns the edge.
 #[inline(always)]
 fn whole<S: Simd>(codes: i32x8<S>) -> f32x8<S> {
-    (codes & 15).to_float()
+    (codes & 7).to_float()
 }

@@ -11,7 +11,7 @@ use super::{
     signs::Signs,
 };
 use crate::{
-    index::BlockIndex,
+    index::{BLOCK_EDGE, BlockIndex},
     map::{Block, VoxelMap},
 };
 
@@ -92,9 +92,10 @@ impl Mesher {
             *block = place.map(|p| p.block(source.map));
         }
         self.distances.load(simd, &blocks, &self.near.edges, source.min_sum);
-        let origin = source.map.grid().center(index.first_voxel());
+        let (grid, first) = (source.map.grid(), index.first_voxel());
+        let origins = [grid.center(first), grid.center(first + BLOCK_EDGE)];
         let voxel_size_m = source.map.config().voxel_size_m;
-        (self.distances).vertices(simd, &self.edges, origin, voxel_size_m, positions, normals);
+        (self.distances).vertices(simd, &self.edges, origins, voxel_size_m, positions, normals);
     }
 
     /// Calls back with the triangles of each of the block's cells.
