@@ -4,6 +4,8 @@
 //! cargo run --release -p tsdfuse-io --example meshing -- FOLDER
 //! ```
 
+#![allow(clippy::print_stdout)] // what it is for
+
 use std::error::Error;
 use std::sync::LazyLock;
 use std::time::Instant;

@@ -50,7 +50,7 @@ impl GridEdge {
     pub(super) fn new(voxel: [i32; 3], axis: usize) -> Self {
         let [x, y, z] = voxel;
         let coordinates = (x | y << 4 | z << 8) as u32;
-        Self(4 * place(voxel) as u32 + axis as u32 | coordinates << 13)
+        Self((4 * place(voxel) + axis) as u32 | (coordinates << 13))
     }
 
     /// The centre of the first voxel of the block that owns it, of two that lie beside each other: so that a vertex has the same

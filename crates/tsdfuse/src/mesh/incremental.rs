@@ -347,7 +347,7 @@ fn candidates(map: &VoxelMap, updated: &Blocks) -> Vec<Candidate> {
         .keys()
         .flat_map(|&region| (0..27).map(move |n| region + offset_to(n)));
     let mut regions: Vec<IVec3> = about.collect();
-    regions.sort_unstable_by_key(|region| region.to_array());
+    regions.sort_unstable_by_key(IVec3::to_array);
     regions.dedup();
     let of_region = |region: IVec3| {
         let shard = shard_of_region(region);

@@ -134,15 +134,15 @@ impl Neighbourhood {
             (cells | cells << 1 | rows(simd, &seen, i)).store_slice(&mut seen[i..i + LAYER]);
         }
         let mut sources = 0;
-        for (z, layer) in seen.chunks(LAYER).enumerate() {
+        for (z, layer) in seen.chunks(LAYER).take(11).enumerate() {
             let mut rows = [0; 3];
             for (y, row) in layer[..11].iter().enumerate() {
-                rows[(y + 7) / 8] |= row;
+                rows[y.div_ceil(8)] |= row;
             }
             for (k, row) in rows.into_iter().enumerate() {
                 let (before, own, after) = (row & 1, u32::from(row & OWN != 0), u32::from(row >> 9 != 0));
                 let before = u32::from(before);
-                sources |= (before | own << 1 | after << 2) << (3 * k + 9 * ((z + 7) / 8 % 3));
+                sources |= (before | own << 1 | after << 2) << (3 * k + 9 * z.div_ceil(8));
             }
         }
         sources
@@ -212,9 +212,9 @@ pub(super) fn needed<S: Simd>(simd: S, [along_x, along_y, along_z]: &[Rows; 3]) 
 #[inline(always)]
 pub(super) fn around<'a>(bits: impl Fn(usize) -> &'a Bits) -> Rows {
     let mut rows = [0; LEN];
-    for z in 0..10 {
+    for z in 0..10_usize {
         // z − 1 is a layer of the block below, of this one, or of that above.
-        let (part, local) = ((z + 7) / 8, (z + 7) % 8);
+        let (part, local) = (z.div_ceil(8), (z + 7) % 8);
         let layer = &mut rows[LAYER * z..LAYER * (z + 1)];
         let of = |n: usize| &bits(n + 9 * part)[local];
         layer[0] = row(of(0)[7], of(1)[7], of(2)[7]);
