@@ -99,15 +99,11 @@ impl Distances {
         let mut eight = [f32::NAN; 8];
         if let Some(block) = of[1] {
             let (weights, distances) = load(simd, &block.voxels.as_chunks().0[row]);
-            let quotient = distances.to_float::<f32x8<S>>() / weights.to_float::<f32x8<S>>();
-            eight = weights
-                .simd_ge(min_sum)
-                .select(quotient, f32x8::splat(simd, f32::NAN))
-                .into();
+            eight = quotient(weights, distances, min_sum);
         }
         f[1..9].copy_from_slice(&eight);
         if voxels & !OWN != 0 {
-            // Without a branch on what is read, which may be far away.
+            // No branch on what is read: it may still be far away.
             let [mut weights, mut distances] = [[0; 8]; 2];
             let rim = [(0, 7), (2, 0), (2, 1)];
             for (k, (n, x)) in rim.into_iter().enumerate() {

@@ -8,25 +8,23 @@
 //! Kept per block are the signs of its voxels, and which of its neighbours its piece of the surface depends on: 132 bytes, 3 %
 //! of a block. Pieces themselves are not kept.
 
-use std::ops::Range;
-
 use fearless_simd::{Level, Simd, dispatch};
-use glam::{DVec3, IVec3, Vec3};
-use hashbrown::HashMap;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use rustc_hash::FxBuildHasher;
 
 use super::{
     Mesh, MeshConfig, MeshError,
+    changes::{Changes, Chunk, Entry},
     extract::{BLOCKS_PER_TASK, extract_from},
     mesher::{Mesher, Source},
-    near::{CORNERS, Finder, Near, PerBlock, Place, offset_to},
-    neighbourhood::{Cells, around, bits_about},
-    signs::{Bits, NO_BITS, Signs},
+    near::{CORNERS, Finder, PerBlock},
+    neighbourhood::Cells,
+    signs::Signs,
+    updated::{Blocks, Candidate, candidates, existing, insert},
 };
 use crate::{
     index::BlockIndex,
-    map::{Block, NO_SLOT, REGION_BLOCKS, SHARDS, VoxelMap, block_of_region, in_region, shard_of_region},
+    map::{Block, SHARDS, VoxelMap, shard_of_region},
     memory::prefetch,
 };
 
@@ -64,75 +62,6 @@ pub struct Incremental {
     untold: Blocks,
 }
 
-/// A set of blocks: a bit for each one of a region.
-type Blocks = HashMap<IVec3, Bits, FxBuildHasher>;
-const _: () = assert!(REGION_BLOCKS == 8 * 64);
-
-/// The surface within the cells of one block, whole in itself: vertices on its border are also part of the pieces beside it, with
-/// the same position and normal, bit for bit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece<'a> {
-    /// The block whose voxels are the first corners of the cells.
-    pub block: BlockIndex,
-    /// Vertex positions, world, metres. None: the block has no surface any more.
-    pub vertices: &'a [DVec3],
-    /// Unit normals, one per vertex.
-    pub normals: &'a [Vec3],
-    /// Three vertex numbers per triangle, counting from the piece's first vertex.
-    pub triangles: &'a [[u32; 3]],
-}
-
-/// The pieces of a surface that changed.
-#[derive(Debug, Default)]
-pub struct Changes {
-    chunks: Vec<Chunk>,
-    /// In order.
-    entries: Vec<Entry>,
-}
-
-impl Changes {
-    /// The pieces, in the order of their blocks.
-    pub fn iter(&self) -> impl ExactSizeIterator<Item = Piece<'_>> {
-        self.entries.iter().map(|entry| {
-            let mesh = &self.chunks[entry.chunk].mesh;
-            Piece {
-                block: entry.block,
-                vertices: &mesh.vertices[entry.vertices.clone()],
-                normals: &mesh.normals[entry.vertices.clone()],
-                triangles: &mesh.triangles[entry.triangles.clone()],
-            }
-        })
-    }
-
-    /// How many pieces there are.
-    pub fn len(&self) -> usize {
-        self.entries.len()
-    }
-
-    /// Whether nothing changed.
-    pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
-    }
-}
-
-/// The pieces that one task made, one after another.
-#[derive(Debug, Default)]
-struct Chunk {
-    mesh: Mesh,
-    entries: Vec<Entry>,
-    /// Of the entries' blocks: where they are, and what their surface depends on.
-    sources: Vec<(Place, u32)>,
-}
-
-/// Where a piece is.
-#[derive(Clone, Debug)]
-struct Entry {
-    block: BlockIndex,
-    chunk: usize,
-    vertices: Range<usize>,
-    triangles: Range<usize>,
-}
-
 impl Default for Incremental {
     fn default() -> Self {
         Self::new(&MeshConfig::default())
@@ -155,8 +84,7 @@ impl Incremental {
     /// Notes blocks that were updated: [`crate::Integration::updated_blocks`]. No work is done yet.
     pub fn note(&mut self, updated_blocks: &[BlockIndex]) {
         for &index in updated_blocks {
-            let (region, number) = in_region(index);
-            self.unread.entry(region).or_default()[number / 64 % 8][number / 8 % 8] |= 1 << (number % 8);
+            insert(&mut self.unread, index);
         }
     }
 
@@ -306,16 +234,6 @@ impl Incremental {
     }
 }
 
-impl Chunk {
-    fn clear(&mut self) {
-        self.mesh.vertices.clear();
-        self.mesh.normals.clear();
-        self.mesh.triangles.clear();
-        self.entries.clear();
-        self.sources.clear();
-    }
-}
-
 /// What a thread meshes with.
 struct Workplace<'a> {
     source: Source<'a>,
@@ -333,57 +251,8 @@ const AFTER: u32 = {
     all
 };
 
-/// A block that was updated, or a neighbour of such.
-struct Candidate {
-    index: BlockIndex,
-    place: Place,
-    /// Which of the blocks about it were updated: bits, as numbered in [`super::near::Near`].
-    updated: u32,
-}
-
-/// The blocks of the map that were updated, and their neighbours.
-fn candidates(map: &VoxelMap, updated: &Blocks) -> Vec<Candidate> {
-    let about = updated
-        .keys()
-        .flat_map(|&region| (0..27).map(move |n| region + offset_to(n)));
-    let mut regions: Vec<IVec3> = about.collect();
-    regions.sort_unstable_by_key(IVec3::to_array);
-    regions.dedup();
-    let of_region = |region: IVec3| {
-        let shard = shard_of_region(region);
-        let slots = map.shards[shard].region(region);
-        let near: Near<&Bits> = std::array::from_fn(|n| updated.get(&(region + offset_to(n))));
-        let rows = around(|n| near[n].unwrap_or(&NO_BITS));
-        let there = slots
-            .into_iter()
-            .flatten()
-            .enumerate()
-            .filter(|(_, slot)| **slot != NO_SLOT);
-        there.filter_map(move |(number, &slot)| {
-            let updated = bits_about(&rows, number);
-            (updated != 0).then_some(Candidate {
-                index: block_of_region(region, number),
-                place: Place {
-                    shard: shard as u32,
-                    slot,
-                },
-                updated,
-            })
-        })
-    };
-    regions.into_par_iter().flat_map_iter(of_region).collect()
-}
-
 /// Asks for the memory of a block before it is read.
 #[inline(always)]
 fn prefetch_block(block: &Block) {
     block.voxels.iter().step_by(8).for_each(prefetch);
-}
-
-/// The slots of those blocks of a region that are there.
-fn existing(slots: Option<&[u32; REGION_BLOCKS]>, bits: &Bits) -> impl Iterator<Item = usize> {
-    let there = slots.into_iter().flatten().enumerate();
-    there
-        .filter(|&(number, &slot)| bits[number / 64][number / 8 % 8] >> (number % 8) & 1 == 1 && slot != NO_SLOT)
-        .map(|(_, &slot)| slot as usize)
 }

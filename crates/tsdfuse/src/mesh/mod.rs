@@ -1,5 +1,6 @@
 //! Triangle meshes, and their extraction from the map by marching cubes.
 
+mod changes;
 mod cube;
 mod distances;
 mod extract;
@@ -10,12 +11,14 @@ pub(crate) mod neighbourhood;
 #[cfg(test)]
 mod oracle;
 pub(crate) mod signs;
+mod updated;
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
+pub use changes::{Changes, Piece};
 pub use extract::{extract, extract_with};
-pub use incremental::{Changes, Incremental, Piece};
+pub use incremental::Incremental;
 
 use crate::map::min_weight_sum;
 
