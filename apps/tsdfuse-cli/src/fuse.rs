@@ -1,17 +1,21 @@
 //! `tsdfuse fuse`: scans and poses in, a mesh or a map out.
 
 mod args;
+mod growing;
 
 use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use indicatif::ProgressBar;
+use tsdfuse::index::BlockIndex;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::{Integrator, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::{Dataset, ReadScan};
 
 pub(crate) use args::Args;
+use growing::Growing;
+pub(crate) use growing::GrowthReport;
 
 use crate::config::{RunConfig, Suggested};
 use crate::exit::{Outcome, one_line};
@@ -36,10 +40,12 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let config = layers.resolve(&suggested)?;
 
     let mut fusion = Fusion::new(settings, &config, suggested.sensor.as_ref())?;
+    fusion.growing = args.growing(&config.mesh);
     let fusing = Instant::now();
     fusion.fuse_all(&dataset, indices)?;
     let finish = fusion.finish();
-    let fusing_seconds = fusing.elapsed().as_secs_f64();
+    let growth = fusion.growing.take().map(|growing| growing.report);
+    let fusing_seconds = fusing.elapsed().as_secs_f64() - growth.as_ref().map_or(0.0, |growth| growth.seconds);
     let save = |path| SavedMap::write(&fusion.map, path);
     let saved_map = args.save_map.as_deref().map(save).transpose()?;
     let extract = |path| surface(&fusion.map, &config.mesh, path);
@@ -70,6 +76,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         scans: fusion.scans,
         skipped_scans: fusion.skipped,
         saved_map,
+        growth,
         mesh,
         preview,
         peak_memory_bytes: peak_memory_bytes(),
@@ -97,6 +104,7 @@ pub(crate) struct Fusion {
     integrator: Box<dyn Integrator>,
     pub(crate) map: VoxelMap,
     range: RangeLimits,
+    growing: Option<Growing>,
     pub(crate) scans: Vec<ScanReport>,
     pub(crate) skipped: Vec<SkippedScan>,
 }
@@ -110,6 +118,7 @@ impl Fusion {
             integrator: config.method.build(&config.methods(), sensor),
             map: VoxelMap::new(config.map)?,
             range: config.range,
+            growing: None,
             scans: Vec::new(),
             skipped: Vec::new(),
         })
@@ -133,7 +142,12 @@ impl Fusion {
             let Some(read) = reading.next() else { break };
             let (index, wait) = (read.index, waiting.elapsed().as_secs_f64());
             match self.fuse(read, wait) {
-                Ok(scan) => self.scans.push(scan),
+                Ok((scan, updated)) => {
+                    self.scans.push(scan);
+                    if let Some(growing) = &mut self.growing {
+                        growing.follow(&self.map, &updated)?;
+                    }
+                }
                 Err(error) if self.skip_bad => self.skip(&dataset.scans()[index].name, one_line(&error), &bar),
                 Err(error) => return Err(error),
             }
@@ -159,21 +173,22 @@ impl Fusion {
         Ok(())
     }
 
-    fn fuse(&mut self, read: ReadScan, wait: f64) -> Result<ScanReport> {
+    /// Fuses a scan, and says which blocks changed.
+    fn fuse(&mut self, read: ReadScan, wait: f64) -> Result<(ScanReport, Vec<BlockIndex>)> {
         let mut scan: Scan = read.scan?;
         let start = Instant::now();
         scan.drop_invalid(&self.range);
         let dropping = start.elapsed().as_secs_f64();
         let done = self.integrator.integrate(&mut self.map, &scan);
         let done = done.with_context(|| self.dataset.display().to_string())?;
-        let prepare = dropping + done.prepare_secs;
-        Ok(ScanReport {
+        let (took, prepare) = (start.elapsed().as_secs_f64(), dropping + done.prepare_secs);
+        let scan = ScanReport {
             name: scan.name,
             sums: Sums {
                 read: read.read_secs,
                 wait,
                 prepare,
-                fuse: start.elapsed().as_secs_f64() - prepare,
+                fuse: took - prepare,
                 find: done.find_secs,
                 points: scan.points.len() as u64 + scan.dropped.total(),
                 fused: done.fused_returns,
@@ -181,7 +196,8 @@ impl Fusion {
                 skipped: done.skipped,
             },
             updated_blocks: done.updated_blocks.len(),
-        })
+        };
+        Ok((scan, done.updated_blocks))
     }
 
     /// Lets a method that collects scans fuse them.

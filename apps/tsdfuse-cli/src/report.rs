@@ -13,6 +13,7 @@ use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Mesh, SensorModel, VoxelMap};
 
 use crate::config::RunConfig;
+use crate::fuse::GrowthReport;
 use crate::progress::say;
 use crate::render::ViewReport;
 
@@ -41,6 +42,8 @@ pub(crate) struct Report {
     pub(crate) saved_map: Option<SavedMap>,
     /// The surface, if it was asked for.
     pub(crate) mesh: Option<MeshReport>,
+    /// What became of the mesh file before that, if it was kept up to date.
+    pub(crate) growth: Option<GrowthReport>,
     /// The picture of the result, if it was asked for.
     pub(crate) preview: Option<ViewReport>,
     /// The most memory that the process held, where the system tells.
@@ -249,7 +252,7 @@ impl Report {
         let (saved, mesh) = (self.saved_map.as_ref(), self.mesh.as_ref());
         mesh.inspect(|mesh| mesh.summarize());
         say(format_args!(
-            "  seconds  read {:.2} (in the background), prepare {:.2}, fuse {:.2}{}{}{}; in all {:.2}",
+            "  seconds  read {:.2} (in the background), prepare {:.2}, fuse {:.2}{}{}{}{}; in all {:.2}",
             sums.read,
             sums.prepare,
             sums.fuse,
@@ -258,6 +261,10 @@ impl Report {
                 FinishReport { seconds, .. } => format!(", finish {seconds:.2}"),
             },
             saved.map_or(String::new(), |map| format!(", save map {:.2}", map.seconds)),
+            self.growth.as_ref().map_or(String::new(), |growth| format!(
+                ", {} meshes on the way {:.2}",
+                growth.meshes, growth.seconds
+            )),
             mesh.map_or(String::new(), |mesh| format!(
                 ", mesh {:.2}, write {:.2}",
                 mesh.seconds, mesh.write_seconds

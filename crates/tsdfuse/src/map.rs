@@ -208,11 +208,11 @@ impl Block {
 }
 
 /// Of a block that is not there.
-const NO_SLOT: u32 = u32::MAX;
+pub(crate) const NO_SLOT: u32 = u32::MAX;
 
 /// The region of a block, and the block's number in it.
 #[inline(always)]
-fn in_region(BlockIndex(b): BlockIndex) -> (IVec3, usize) {
+pub(crate) fn in_region(BlockIndex(b): BlockIndex) -> (IVec3, usize) {
     let within = b & ((1 << REGION_BITS) - 1);
     let number = within.x | within.y << REGION_BITS | within.z << (2 * REGION_BITS);
     (b >> REGION_BITS, number as usize % REGION_BLOCKS)
@@ -261,7 +261,7 @@ impl Shard {
     #[inline]
     fn slot(&self, index: BlockIndex) -> Option<u32> {
         let (region, block) = in_region(index);
-        let slot = self.slots[*self.regions.get(&region)? as usize][block];
+        let slot = self.region(region)?[block];
         (slot != NO_SLOT).then_some(slot)
     }
 
@@ -278,6 +278,18 @@ impl Shard {
     /// The indices of all blocks, by slot.
     pub(crate) fn indices(&self) -> &[BlockIndex] {
         &self.indices
+    }
+
+    /// The slots of a region's blocks, or [`NO_SLOT`]; `None` if it has no block.
+    #[inline]
+    pub(crate) fn region(&self, region: IVec3) -> Option<&[u32; REGION_BLOCKS]> {
+        self.regions.get(&region).map(|&number| &self.slots[number as usize])
+    }
+
+    /// All blocks, by slot.
+    #[inline]
+    pub(crate) fn blocks(&self) -> &[Block] {
+        &self.blocks
     }
 
     /// All blocks, by slot.

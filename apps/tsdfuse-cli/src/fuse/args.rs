@@ -6,7 +6,9 @@ use anyhow::Result;
 use clap::ArgGroup;
 use clap::builder::PossibleValuesParser;
 use tsdfuse::fuse::Method;
+use tsdfuse::mesh::MeshConfig;
 
+use super::growing::Growing;
 use crate::exit::Usage;
 use crate::output;
 use crate::settings::{Settings, hold_out_range};
@@ -15,6 +17,7 @@ const EXAMPLES: &str = "\
 Examples:
   tsdfuse fuse pandaset/002 -o street.ply
   tsdfuse fuse kitti/sequences/00 -o street.ply --scans 0..80 --voxel-size 0.1 --truncation 0.3
+  tsdfuse fuse pandaset/002 -o street.ply --mesh-every 10
   tsdfuse fuse pandaset/002 --save-map street.tsdf
   tsdfuse fuse street -o street.ply --config run.toml --set raycast.distance=projective
 
@@ -27,6 +30,9 @@ pub(crate) struct Args {
     /// The mesh to write, .ply, .glb or .obj; `-` writes PLY to standard output.
     #[arg(short, long, value_name = "FILE")]
     pub(super) output: Option<PathBuf>,
+    /// Write the mesh so far to --output after every N scans, too, for a viewer that reads it again and again.
+    #[arg(long, value_name = "N", requires = "output", value_parser = clap::value_parser!(u32).range(1..))]
+    pub(super) mesh_every: Option<u32>,
     /// Save the map, for `tsdfuse mesh` and `tsdfuse render`; --output may then be missing.
     #[arg(long, value_name = "FILE")]
     pub(super) save_map: Option<PathBuf>,
@@ -50,9 +56,17 @@ pub(crate) struct Args {
 }
 
 impl Args {
+    /// What keeps the mesh file up to date, if the user wants that.
+    pub(super) fn growing(&self, config: &MeshConfig) -> Option<Growing> {
+        Some(Growing::new(self.mesh_every? as usize, self.output.clone()?, config))
+    }
+
     /// Finds out before the work, not after it, that its results could not be written.
     pub(super) fn check_outputs(&self) -> Result<()> {
         if let Some(mesh) = &self.output {
+            if self.mesh_every.is_some() && mesh.as_os_str() == "-" {
+                return Err(Usage::new("--mesh-every needs a file as --output, not standard output").into());
+            }
             output::check_mesh(mesh, self.json)?;
         }
         if let Some(preview) = &self.preview {

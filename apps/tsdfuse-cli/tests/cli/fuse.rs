@@ -288,3 +288,32 @@ fn the_sample_of_pandaset_fuses() {
     assert!(report["totals"]["fused"].as_u64().unwrap() > 300_000);
     assert!(ply::read(mesh.as_ref()).1 > 100_000);
 }
+
+#[test]
+fn the_mesh_file_grows_while_scans_are_fused_and_ends_the_same() {
+    let folder = Folder::new();
+    let set = folder.simulate("sphere", "sphere", "pandar64", 6, &[]);
+    let fuse = |name: &str, more: &[&str]| {
+        let mesh = folder.text(name);
+        (tsdfuse(&[&["fuse", &set, "-o", &mesh, "--json"], more].concat()), mesh)
+    };
+    let (run, whole) = fuse("whole.ply", &[]);
+    assert_eq!(run.succeeded().json()["growth"], Value::Null);
+    let (run, grown) = fuse("grown.ply", &["--mesh-every", "2"]);
+    assert_eq!(run.succeeded().json()["growth"]["meshes"], 3);
+    assert_eq!(fs::read(&grown).unwrap(), fs::read(&whole).unwrap());
+
+    // Where the run ends early, the mesh of the scans before stands there.
+    let (run, four) = fuse("four.ply", &["--scans", "0..4"]);
+    run.succeeded();
+    fs::write(format!("{set}/velodyne/000005.bin"), [0; 7]).unwrap();
+    let (run, cut) = fuse("cut.ply", &["--mesh-every", "2"]);
+    run.failed(1);
+    assert_eq!(fs::read(cut).unwrap(), fs::read(four).unwrap());
+
+    for (output, said) in [("-", "--mesh-every needs a file"), (&*grown, "invalid value '0'")] {
+        let every = if output == "-" { "1" } else { "0" };
+        let run = tsdfuse(&["fuse", &set, "-o", output, "--mesh-every", every]);
+        assert!(run.code == 2 && run.stderr.contains(said), "{}", run.stderr);
+    }
+}

@@ -15,6 +15,8 @@
 
 use std::sync::LazyLock;
 
+use super::distances::GridEdge;
+
 /// The two corners of each edge, the lower first.
 pub(super) const EDGE_CORNERS: [[usize; 2]; 12] = [
     [0, 1],
@@ -41,9 +43,35 @@ const FACES: [[usize; 4]; 6] = [
     [4, 5, 7, 6],
 ];
 
-/// For each set of negative corners (bit c for corner c), the triangles as triples of edges, counter-clockwise seen from the
-/// positive side.
-pub(super) static TRIANGLES: LazyLock<[Vec<[u8; 3]>; 256]> = LazyLock::new(|| std::array::from_fn(triangles));
+/// The most triangles that a cell has.
+pub(super) const MAX_TRIANGLES: usize = 5;
+
+/// What to draw in a cell.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Case {
+    /// How many triangles there are.
+    pub(super) count: u8,
+    /// Their corners, counter-clockwise seen from the positive side: each edge's number less that of the cell's first edge.
+    pub(super) edges: [[u16; 3]; MAX_TRIANGLES],
+}
+
+/// For each set of negative corners (bit c for corner c), what to draw.
+pub(super) static CASES: LazyLock<[Case; 256]> = LazyLock::new(|| {
+    std::array::from_fn(|negative| {
+        let mut case = Case::default();
+        for (to, from) in case.edges.iter_mut().zip(triangles(negative)) {
+            case.count += 1;
+            *to = from.map(number_in_cell);
+        }
+        case
+    })
+});
+
+/// The number of an edge of a cell less that of the cell's first edge.
+fn number_in_cell(edge: u8) -> u16 {
+    let number = |c: usize, axis| GridEdge::new([c & 1, c >> 1 & 1, c >> 2].map(|c| c as i32), axis).number();
+    (number(EDGE_CORNERS[edge as usize][0], edge as usize / 4) - number(0, 0)) as u16
+}
 
 fn edge_between(a: usize, b: usize) -> usize {
     EDGE_CORNERS
@@ -52,7 +80,7 @@ fn edge_between(a: usize, b: usize) -> usize {
         .unwrap_or_default()
 }
 
-fn triangles(negative: usize) -> Vec<[u8; 3]> {
+pub(super) fn triangles(negative: usize) -> Vec<[u8; 3]> {
     let is_negative = |corner: usize| negative >> corner & 1 == 1;
     // The segment that follows each crossed edge on the way around the surface.
     let mut next = [None; 12];
@@ -101,6 +129,18 @@ fn share_face(a: u8, b: u8) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    static TRIANGLES: LazyLock<[Vec<[u8; 3]>; 256]> = LazyLock::new(|| std::array::from_fn(triangles));
+
+    #[test]
+    fn all_triangles_are_drawn() {
+        for (case, triangles) in CASES.iter().zip(TRIANGLES.iter()) {
+            assert_eq!(case.count as usize, triangles.len());
+            for (drawn, edges) in case.edges.iter().zip(triangles) {
+                assert_eq!(*drawn, edges.map(number_in_cell));
+            }
+        }
+    }
 
     #[test]
     fn every_crossed_edge_is_used_and_no_other() {

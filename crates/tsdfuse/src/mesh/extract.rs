@@ -3,30 +3,30 @@
 //! A vertex lies on the grid edge between two neighbouring voxel centres. The block that holds the edge's lower voxel owns
 //! the vertex; it exists if any of the four cells about the edge is observed at all eight corners. Each block notes its
 //! vertices as set bits, so that any block finds the number of a neighbour's vertex by counting bits: no table of vertices,
-//! no merging afterwards. Pass 1 notes vertices and counts triangles, pass 2 fills arrays of the final size.
+//! no merging afterwards.
+//!
+//! ```text
+//!   voxels ─▶ signs of each block, as bits            pass 1: the only one to read all voxels
+//!   signs of a block and its rim ─▶ cells, edges      pass 2: counts vertices and triangles
+//!   voxels near the edges ─▶ vertices, triangles      pass 3: fills arrays of the final size
+//! ```
 
-use glam::{IVec3, Vec3};
-use hashbrown::HashMap;
+use fearless_simd::{Level, dispatch};
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use rustc_hash::FxBuildHasher;
 
 use super::{
     Mesh, MeshConfig, MeshError,
-    cube::{EDGE_CORNERS, TRIANGLES},
-    neighbourhood::{Neighbourhood, corner},
+    distances::GridEdge,
+    mesher::{Mesher, Source},
+    near::{CORNERS, Finder, OWN, PerBlock, Place, offset_to},
+    neighbourhood::Cells,
+    signs::Signs,
 };
-use crate::{
-    index::{BLOCK_VOXELS, BlockIndex, local_number, voxel_at},
-    map::{VoxelMap, min_weight_sum},
-};
+use crate::{index::BlockIndex, map::VoxelMap};
 
-const AXES: [IVec3; 3] = [IVec3::X, IVec3::Y, IVec3::Z];
-
-/// Vertices keep this distance, in voxels, from the voxel centres: so no two share a position and no triangle is degenerate.
-const MARGIN: f32 = 1e-3;
-
-/// Blocks that one task handles in pass 2.
-const BLOCKS_PER_TASK: usize = 64;
+/// Blocks that one task handles.
+pub(super) const BLOCKS_PER_TASK: usize = 64;
 
 /// The surface of the map: every voxel that was observed counts.
 ///
@@ -52,23 +52,20 @@ pub fn extract(map: &VoxelMap) -> Result<Mesh, MeshError> {
 /// # Errors
 /// [`MeshError::TooManyVertices`] beyond 2³² vertices.
 pub fn extract_with(map: &VoxelMap, config: &MeshConfig) -> Result<Mesh, MeshError> {
-    let min_sum = min_weight_sum(config.min_weight);
+    let (level, min_sum) = (Level::new(), config.min_weight_sum());
+    let signs = Signs::of_all(map, min_sum, level);
+    extract_from(&Source { map, min_sum }, &signs, level)
+}
 
-    let patches: Vec<Patch> = map
-        .block_indices()
-        .into_par_iter()
-        .map_init(
-            || Neighbourhood::new(min_sum),
-            |near, index| Patch::find(map, near, index),
-        )
-        .filter(|patch| patch.vertices + patch.triangles > 0)
-        .collect();
+/// As [`extract_with`], where the signs of all blocks are known.
+pub(super) fn extract_from(source: &Source<'_>, signs: &PerBlock<Signs>, level: Level) -> Result<Mesh, MeshError> {
+    let map = source.map;
+    let (mut patches, numbers) = patches(map, signs, level);
 
     // Where each block's vertices begin in the mesh.
-    let mut numbers = HashMap::with_capacity_and_hasher(patches.len(), FxBuildHasher);
     let mut total: u64 = 0;
-    for (i, patch) in patches.iter().enumerate() {
-        numbers.insert(patch.index, (i, total as u32));
+    for patch in &mut patches {
+        patch.first = total as u32;
         total += u64::from(patch.vertices);
     }
     if total > u64::from(u32::MAX) {
@@ -76,171 +73,157 @@ pub fn extract_with(map: &VoxelMap, config: &MeshConfig) -> Result<Mesh, MeshErr
     }
     let triangles: usize = patches.iter().map(|p| p.triangles as usize).sum();
     let mut mesh = Mesh {
-        vertices: vec![glam::DVec3::ZERO; total as usize],
-        normals: vec![Vec3::ZERO; total as usize],
+        // All threads ask for the memory.
+        vertices: (0..total as usize).into_par_iter().map(|_| DVec3::ZERO).collect(),
+        normals: (0..total as usize).into_par_iter().map(|_| Vec3::ZERO).collect(),
         triangles: vec![[0; 3]; triangles],
     };
 
     let mut tasks = Vec::with_capacity(patches.len() / BLOCKS_PER_TASK + 1);
-    let (mut vertices, mut normals, mut triangles) = (
-        mesh.vertices.as_mut_slice(),
-        mesh.normals.as_mut_slice(),
-        mesh.triangles.as_mut_slice(),
-    );
+    let mut rest = Rest {
+        vertices: &mut mesh.vertices,
+        normals: &mut mesh.normals,
+        triangles: &mut mesh.triangles,
+    };
     for patches in patches.chunks(BLOCKS_PER_TASK) {
-        let vertex_count = patches.iter().map(|p| p.vertices as usize).sum();
-        let triangle_count = patches.iter().map(|p| p.triangles as usize).sum();
-        tasks.push((
-            patches,
-            vertices.split_off_mut(..vertex_count).unwrap_or_default(),
-            normals.split_off_mut(..vertex_count).unwrap_or_default(),
-            triangles.split_off_mut(..triangle_count).unwrap_or_default(),
-        ));
+        let vertices = patches.iter().map(|p| p.vertices).sum();
+        let triangles = patches.iter().map(|p| p.triangles).sum();
+        tasks.push((patches, rest.split_off(vertices, triangles)));
     }
-    tasks.into_par_iter().for_each(|(own, vertices, normals, triangles)| {
-        let mut near = Neighbourhood::new(min_sum);
-        let mut places = vertices.iter_mut().zip(normals);
-        let mut triangles = triangles.iter_mut();
-        for patch in own {
-            near.load(map, patch.index);
-            for edge in patch.edges() {
-                if let Some((vertex, normal)) = places.next() {
-                    let (position, n) = near.vertex(edge);
-                    *vertex =
-                        map.grid().center(patch.index.first_voxel()) + position.as_dvec3() * map.config().voxel_size_m;
-                    *normal = n;
+    tasks.into_par_iter().for_each(|(own, mut rest)| {
+        let (mut finder, mut mesher) = (Finder::new(map), Mesher::new());
+        dispatch!(level, simd => for patch in own {
+            let places = finder.near(patch.index);
+            mesher.load(simd, signs, &places, Cells::About);
+            mesher.number_vertices(8, patch.first);
+            for &n in &CORNERS[1..] {
+                let number = places[n].and_then(|p| numbers.get(p));
+                if let Some(patch) = number.and_then(|&n| patches.get(n as usize)) {
+                    patch.lend(&mut mesher, offset_to(n).to_array());
                 }
             }
-            let number = VertexNumbers::new(patch.index, &patches, &numbers);
-            near.for_each_triangle(|cell, edges| {
+            let out = rest.split_off(patch.vertices, patch.triangles);
+            mesher.vertices(simd, source, &places, patch.index, (out.vertices, out.normals));
+            let mut triangles = out.triangles.iter_mut();
+            mesher.for_each_triangle(|corners| {
                 if let Some(triangle) = triangles.next() {
-                    *triangle = edges.map(|e| number.of(cell, e as usize));
+                    *triangle = corners;
                 }
             });
-        }
+        });
     });
     Ok(mesh)
+}
+
+/// What of a mesh is still to be filled.
+#[derive(Default)]
+struct Rest<'a> {
+    vertices: &'a mut [DVec3],
+    normals: &'a mut [Vec3],
+    triangles: &'a mut [[u32; 3]],
+}
+
+impl<'a> Rest<'a> {
+    /// The first vertices and triangles, which are no longer part of the rest then.
+    fn split_off(&mut self, vertices: u32, triangles: u32) -> Self {
+        Self {
+            vertices: self.vertices.split_off_mut(..vertices as usize).unwrap_or_default(),
+            normals: self.normals.split_off_mut(..vertices as usize).unwrap_or_default(),
+            triangles: self.triangles.split_off_mut(..triangles as usize).unwrap_or_default(),
+        }
+    }
+}
+
+/// The parts of the surface, in order, and for each block the number of its part.
+fn patches(map: &VoxelMap, signs: &PerBlock<Signs>, level: Level) -> (Vec<Patch>, PerBlock<u32>) {
+    let indices = map.block_indices();
+    let chunks = indices.par_chunks(BLOCKS_PER_TASK).map(|indices| {
+        let (mut finder, mut mesher) = (Finder::new(map), Mesher::new());
+        let mut patches = Vec::new();
+        dispatch!(level, simd => for &index in indices {
+            let places = finder.near(index);
+            if signs.may_have_surface(&places) {
+                mesher.load(simd, signs, &places, Cells::About);
+                patches.extend(places[OWN].and_then(|place| Patch::of(&mesher, index, place)));
+            }
+        });
+        patches
+    });
+    let patches = chunks.collect::<Vec<_>>().into_iter().flatten().collect::<Vec<_>>();
+    let mut numbers = signs.map(|_| u32::MAX);
+    for (number, patch) in patches.iter().enumerate() {
+        if let Some(n) = numbers.get_mut(patch.place) {
+            *n = number as u32;
+        }
+    }
+    (patches, numbers)
 }
 
 /// The part of the surface that one block owns.
 struct Patch {
     index: BlockIndex,
-    /// One bit per grid edge with a vertex: 3·(voxel in the block) + axis.
-    bits: [u64; BLOCK_VOXELS * 3 / 64],
+    place: Place,
+    /// Its grid edges with a vertex, along x, y and z, layer by layer: bit x + 8 y.
+    edges: [[u64; 8]; 3],
+    /// How many of its vertices come before each layer.
+    before: [u16; 8],
     vertices: u32,
     triangles: u32,
-}
-
-/// A grid edge of a block: from the voxel (relative to the block's first) along the axis.
-#[derive(Clone, Copy)]
-struct GridEdge {
-    voxel: IVec3,
-    axis: usize,
+    /// The number of its first vertex in the mesh.
+    first: u32,
 }
 
 impl Patch {
-    fn find(map: &VoxelMap, near: &mut Neighbourhood, index: BlockIndex) -> Self {
-        let mut patch = Self {
-            index,
-            bits: [0; BLOCK_VOXELS * 3 / 64],
-            vertices: 0,
-            triangles: 0,
-        };
-        near.load(map, index);
-        for row in 0..64 {
-            for (axis, mut voxels) in near.vertices_in_row(row % 8, row / 8).into_iter().enumerate() {
-                patch.vertices += voxels.count_ones();
-                while voxels != 0 {
-                    let edge = 3 * (8 * row as usize + voxels.trailing_zeros() as usize) + axis;
-                    patch.bits[edge / 64] |= 1 << (edge % 64);
-                    voxels &= voxels - 1;
-                }
-            }
+    /// `None` if there is no surface.
+    #[inline(always)]
+    fn of(mesher: &Mesher, index: BlockIndex, place: Place) -> Option<Self> {
+        let edges = mesher.near.own_edges();
+        let (mut before, mut vertices) = ([0; 8], 0);
+        for (z, before) in before.iter_mut().enumerate() {
+            *before = vertices as u16;
+            vertices += edges.iter().map(|layers| layers[z].count_ones()).sum::<u32>();
         }
-        near.for_each_triangle(|_, _| patch.triangles += 1);
-        patch
-    }
-
-    /// The grid edges with a vertex, in the order of their numbers.
-    fn edges(&self) -> impl Iterator<Item = GridEdge> {
-        self.bits.iter().enumerate().flat_map(|(word, &bits)| {
-            let mut rest = bits;
-            std::iter::from_fn(move || {
-                (rest != 0).then(|| {
-                    let edge = word * 64 + rest.trailing_zeros() as usize;
-                    rest &= rest - 1;
-                    GridEdge {
-                        voxel: voxel_at(BlockIndex(IVec3::ZERO), edge / 3),
-                        axis: edge % 3,
-                    }
-                })
-            })
+        let triangles = mesher.triangle_count();
+        (vertices + triangles > 0).then_some(Self {
+            index,
+            place,
+            edges,
+            before,
+            vertices,
+            triangles,
+            first: 0,
         })
     }
 
-    /// How many vertices come before the one on this edge.
-    fn rank(&self, edge: usize) -> u32 {
-        let (word, bit) = (edge / 64, edge % 64);
-        let before: u32 = self.bits[..word].iter().map(|b| b.count_ones()).sum();
-        before + (self.bits[word] & ((1 << bit) - 1)).count_ones()
-    }
-}
-
-/// Finds the mesh's vertices on the grid edges of one block's cells, which reach into seven neighbours.
-struct VertexNumbers<'a> {
-    owners: [Option<(&'a Patch, u32)>; 8],
-}
-
-impl<'a> VertexNumbers<'a> {
-    fn new(
-        index: BlockIndex,
-        patches: &'a [Patch],
-        numbers: &HashMap<BlockIndex, (usize, u32), FxBuildHasher>,
-    ) -> Self {
-        let owner = |c| {
-            numbers
-                .get(&BlockIndex(index.0 + corner(c)))
-                .map(|&(i, first)| (&patches[i], first))
-        };
-        Self {
-            owners: std::array::from_fn(owner),
-        }
-    }
-
-    /// The number of the vertex on edge `edge` of a cell.
-    #[inline]
-    fn of(&self, cell: IVec3, edge: usize) -> u32 {
-        let voxel = cell + corner(EDGE_CORNERS[edge][0]);
-        let block = BlockIndex::of(voxel).0;
-        let grid_edge = 3 * local_number(voxel) + edge / 4;
-        self.owners[(block.x + 2 * block.y + 4 * block.z) as usize]
-            .map_or(0, |(patch, first)| first + patch.rank(grid_edge))
-    }
-}
-
-impl Neighbourhood {
-    /// Position, relative to the centre of the block's first voxel and in voxels, and normal of the vertex on a grid edge.
-    fn vertex(&self, edge: GridEdge) -> (Vec3, Vec3) {
-        let (low, high) = (edge.voxel, edge.voxel + AXES[edge.axis]);
-        let (f0, f1) = (self.distance(low), self.distance(high));
-        let t = (f0 / (f0 - f1)).clamp(MARGIN, 1.0 - MARGIN);
-        let gradient = self.gradient(low).lerp(self.gradient(high), t);
-        let along = AXES[edge.axis].as_vec3();
-        let normal = gradient.try_normalize().unwrap_or(if f1 > f0 { along } else { -along });
-        (low.as_vec3() + along * t, normal)
-    }
-
-    /// Calls back with the cell and the three edges of each triangle in the block's own cells.
-    fn for_each_triangle(&self, mut found: impl FnMut(IVec3, [u8; 3])) {
-        let table = &*TRIANGLES;
-        for row in 0..64 {
-            let (y, z) = (row % 8, row / 8);
-            let mut cells = self.surface_cells_in_row(y, z);
-            while cells != 0 {
-                let cell = IVec3::new(cells.trailing_zeros() as i32, y, z);
-                table[self.case(cell)].iter().for_each(|&edges| found(cell, edges));
-                cells &= cells - 1;
+    /// Tells a block the numbers of the vertices that its cells share with this one, which lies beside it.
+    #[inline(always)]
+    fn lend(&self, mesher: &mut Mesher, offset: [i32; 3]) {
+        let beside = offset.map(|o| o > 0);
+        let row = if beside[0] { 0x0101_0101_0101_0101 } else { u64::MAX };
+        let layer = if beside[1] { 0xff } else { u64::MAX };
+        for z in 0..if beside[2] { 1 } else { 8 } {
+            // Edges along the other axes lie farther out.
+            for axis in (0..3).filter(|&axis| !beside[axis]) {
+                let mut left = self.edges[axis][z] & row & layer;
+                while left != 0 {
+                    let bit = left.trailing_zeros();
+                    left &= left - 1;
+                    let voxel = [bit as i32 & 7, bit as i32 >> 3, z as i32];
+                    let voxel = [0, 1, 2].map(|k| voxel[k] + 8 * offset[k]);
+                    mesher.set_number(GridEdge::new(voxel, axis), self.first + self.rank(z, bit, axis));
+                }
             }
         }
+    }
+
+    /// How many vertices come before the one on the edge along `axis` from the voxel with this bit in layer `z`.
+    #[inline(always)]
+    fn rank(&self, z: usize, bit: u32, axis: usize) -> u32 {
+        let mut rank = u32::from(self.before[z]);
+        for (other, layers) in self.edges.iter().enumerate() {
+            let through = u64::from(other < axis);
+            rank += (layers[z] & ((1 + through) << bit).wrapping_sub(1)).count_ones();
+        }
+        rank
     }
 }

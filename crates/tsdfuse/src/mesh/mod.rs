@@ -1,13 +1,26 @@
 //! Triangle meshes, and their extraction from the map by marching cubes.
 
+mod changes;
 mod cube;
+mod distances;
 mod extract;
+mod incremental;
+mod mesher;
+pub(crate) mod near;
 pub(crate) mod neighbourhood;
+#[cfg(test)]
+mod oracle;
+pub(crate) mod signs;
+mod updated;
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
+pub use changes::{Changes, Piece};
 pub use extract::{extract, extract_with};
+pub use incremental::Incremental;
+
+use crate::map::min_weight_sum;
 
 /// An indexed triangle mesh in world coordinates.
 ///
@@ -46,6 +59,11 @@ impl MeshConfig {
             true => Ok(()),
             false => Err(MeshError::MinWeight(self.min_weight)),
         }
+    }
+
+    /// Voxels with a smaller weight sum count as never observed. (No weight sum is beyond an i32.)
+    pub(crate) fn min_weight_sum(self) -> i32 {
+        min_weight_sum(self.min_weight).clamp(1, i32::MAX as u32) as i32
     }
 }
 

@@ -1,230 +1,255 @@
-//! A block with a rim of its neighbours' voxels: what a cell, its vertices and their normals need to see.
+//! The signs of a block and of a rim around it, and what follows from them: the cells that the surface passes, and the grid
+//! edges that it crosses.
 
-use glam::IVec3;
+use fearless_simd::{Simd, prelude::*, u16x16};
 
-use crate::{
-    index::{BLOCK_EDGE, BlockIndex, local_number},
-    map::{Block, Voxel, VoxelMap},
+use super::{
+    near::Near,
+    signs::{Bits, NO_BITS, Signs},
 };
 
-/// Voxels −1 … 9 of each axis.
-const EDGE: usize = 11;
+/// Rows of a layer: y = −1 … 9, and some that are always empty.
+pub(super) const LAYER: usize = 16;
 
-/// The voxels of one block and of the rim around it, by coordinates relative to the block's first voxel, −1..=9.
+/// Layers: z = −1 … 9, and an empty one.
+const LEN: usize = 12 * LAYER;
+
+/// Something of each row of voxels along x; that of row (y, z) has number [`row_of`]. In a row of bits, voxel x is bit x + 1.
 ///
-/// Rows along x also exist as bits, so that a whole row of cells or edges is judged at once: voxel x is bit x + 1.
-pub(crate) struct Neighbourhood {
-    voxels: [Voxel; EDGE * EDGE * EDGE],
-    /// Was the voxel observed?
-    valid: [u16; EDGE * EDGE],
-    /// Does the voxel lie behind the surface?
-    negative: [u16; EDGE * EDGE],
-    /// Are all eight corners of the cell above the voxel observed? For y, z in −1..=7.
-    cells: [u16; EDGE * EDGE],
-    min_sum: u32,
-}
+/// Numbers of rows beside each other differ by 1 or [`LAYER`], so that a whole layer is judged at once.
+pub(super) type Rows = [u16; LEN];
 
 /// The bits of the block's own voxels in a row.
-const OWN: u16 = 0b1_1111_1110;
+pub(super) const OWN: u16 = 0b1_1111_1110;
+
+/// The bits of the block's own voxels in a layer.
+const OWN_ROWS: [u16; LAYER] = [0, OWN, OWN, OWN, OWN, OWN, OWN, OWN, OWN, 0, 0, 0, 0, 0, 0, 0];
+
+/// The signs of one block and of the rim that its cells and edges see, x, y, z in −1..=8.
+#[derive(Clone, Debug)]
+pub(crate) struct Neighbourhood {
+    /// Was the voxel observed?
+    valid: Rows,
+    /// Does the voxel lie behind the surface?
+    negative: Rows,
+    /// Does the surface pass the cell above the voxel: observed at all corners, on both sides of the surface?
+    surface: Rows,
+    /// Is there a vertex on the grid edge from the voxel along x, y and z?
+    pub(super) edges: [Rows; 3],
+}
+
+/// What is asked of a block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Cells {
+    /// The edges of its cells, x, y, z in 0..=8, that these cells make vertices of.
+    Own,
+    /// The edges from its voxels that any cells make vertices of, its own or those of its neighbours.
+    About,
+}
 
 impl Neighbourhood {
-    /// A neighbourhood to load blocks into; voxels with a weight sum below `min_sum` count as unobserved.
-    pub(crate) fn new(min_sum: u32) -> Self {
-        Self {
-            voxels: [Voxel::default(); EDGE * EDGE * EDGE],
-            valid: [0; EDGE * EDGE],
-            negative: [0; EDGE * EDGE],
-            cells: [0; EDGE * EDGE],
-            min_sum: min_sum.max(1),
-        }
-    }
+    pub(crate) const EMPTY: Self = Self {
+        valid: [0; LEN],
+        negative: [0; LEN],
+        surface: [0; LEN],
+        edges: [[0; LEN]; 3],
+    };
 
-    /// Loads a block and its rim.
-    pub(crate) fn load(&mut self, map: &VoxelMap, index: BlockIndex) {
-        let blocks: [Option<&Block>; 27] = std::array::from_fn(|n| {
-            let n = n as i32;
-            map.block(BlockIndex(index.0 + IVec3::new(n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1)))
-        });
-        let part = |v: i32| if v < 0 { 0 } else { 1 + v / BLOCK_EDGE };
-        for z in -1..=9 {
-            for y in -1..=9 {
-                let row = offset(IVec3::new(-1, y, z));
-                let first = (3 * part(y) + 9 * part(z)) as usize;
-                let local = local_number(IVec3::new(0, y, z));
-                let row = &mut self.voxels[row..row + EDGE];
-                let copy = |target: &mut [Voxel], block: Option<&Block>, from: usize| match block {
-                    Some(b) => target.copy_from_slice(&b.voxels[from..from + target.len()]),
-                    None => target.fill(Voxel::default()),
-                };
-                copy(&mut row[..1], blocks[first], local + 7);
-                copy(&mut row[1..9], blocks[first + 1], local);
-                copy(&mut row[9..], blocks[first + 2], local);
-                let (mut valid, mut negative) = (0, 0);
-                for (x, voxel) in row.iter().enumerate() {
-                    valid |= u16::from(voxel.weight_sum >= self.min_sum) << x;
-                    negative |= u16::from(voxel.distance_sum < 0) << x;
+    /// Judges a block by its signs and those of its neighbours.
+    #[inline(always)]
+    pub(crate) fn load<S: Simd>(&mut self, simd: S, near: &Near<&Signs>, cells: Cells) {
+        self.valid = around(|n| near[n].map_or(&NO_BITS, |signs| &signs.valid));
+        self.negative = around(|n| near[n].map_or(&NO_BITS, |signs| &signs.negative));
+        let (valid, negative) = (&self.valid, &self.negative);
+        // Cells that are observed at all eight corners, one layer on.
+        let mut observed = [0; LEN + LAYER];
+        for z in 0..10 {
+            let i = LAYER * z;
+            let (n, behind) = (rows(simd, negative, i), rows(simd, negative, i + 1));
+            let (above, both) = (rows(simd, negative, i + LAYER), rows(simd, negative, i + LAYER + 1));
+            let (any, all) = (n | behind | above | both, n & behind & above & both);
+            let corners = rows(simd, valid, i) & rows(simd, valid, i + 1);
+            let corners = corners & rows(simd, valid, i + LAYER) & rows(simd, valid, i + LAYER + 1);
+            let mut cell = corners & corners >> 1;
+            if cells == Cells::Own {
+                cell &= own_rows(simd, z);
+            }
+            cell.store_slice(&mut observed[i + LAYER..i + 2 * LAYER]);
+            let surface = (any | any >> 1) & !(all & all >> 1) & cell;
+            surface.store_slice(&mut self.surface[i..i + LAYER]);
+        }
+        // Edges with an observed cell beside them are observed at both ends. A cell's bit shifted up by one stands for the
+        // cell at x − 1.
+        for z in 1..10 {
+            let i = LAYER * z;
+            let (n, behind) = (rows(simd, negative, i), rows(simd, negative, i + 1));
+            let above = rows(simd, negative, i + LAYER);
+            let (here, before) = (rows(simd, &observed, i + LAYER), rows(simd, &observed, i + LAYER - 1));
+            let (below, both) = (rows(simd, &observed, i), rows(simd, &observed, i - 1));
+            let (about_y, about_z) = (here | below, here | before);
+            let along_x = (n ^ n >> 1) & (about_y | before | both);
+            let along_y = (n ^ behind) & (about_y | about_y << 1);
+            let along_z = (n ^ above) & (about_z | about_z << 1);
+            for (to, mut edges) in self.edges.iter_mut().zip([along_x, along_y, along_z]) {
+                if cells == Cells::About {
+                    edges &= own_rows(simd, z);
                 }
-                (self.valid[row_of(y, z)], self.negative[row_of(y, z)]) = (valid, negative);
-            }
-        }
-        for z in -1..=7 {
-            for y in -1..=7 {
-                let [a, b, c, d] = four(&self.valid, y, z);
-                let all = a & b & c & d;
-                self.cells[row_of(y, z)] = all & all >> 1;
+                edges.store_slice(&mut to[i..i + LAYER]);
             }
         }
     }
 
-    /// Which of the block's voxels in row (y, z) have a vertex on their grid edge along x, y and z: where the sign changes
-    /// between two observed voxels and at least one of the four cells about the edge is observed.
-    #[inline]
-    pub(super) fn vertices_in_row(&self, y: i32, z: i32) -> [u16; 3] {
-        let cells = |y, z| self.cells[row_of(y, z)];
-        let (here, below, behind, both) = (cells(y, z), cells(y - 1, z), cells(y, z - 1), cells(y - 1, z - 1));
-        let (n, v) = (self.negative[row_of(y, z)], self.valid[row_of(y, z)]);
-        let towards = |row: usize| (n ^ self.negative[row]) & v & self.valid[row];
-        let along_x = (n ^ n >> 1) & v & v >> 1 & (here | below | behind | both);
-        // A cell's bit shifted up by one stands for the cell at x − 1.
-        let (about_y, about_z) = (here | behind, here | below);
-        let along_y = towards(row_of(y + 1, z)) & (about_y | about_y << 1);
-        let along_z = towards(row_of(y, z + 1)) & (about_z | about_z << 1);
-        [along_x, along_y, along_z].map(|bits| (bits & OWN) >> 1)
-    }
-
-    /// Which of the block's cells in row (y, z) the surface passes: observed at all corners, on both sides of the surface.
-    #[inline]
+    /// Which of the block's cells in row (y, z) the surface passes: bit x.
+    #[inline(always)]
     pub(crate) fn surface_cells_in_row(&self, y: i32, z: i32) -> u16 {
-        let [a, b, c, d] = four(&self.negative, y, z);
-        let (any, all) = (a | b | c | d, a & b & c & d);
-        let mixed = (any | any >> 1) & !(all & all >> 1);
-        (mixed & self.cells[row_of(y, z)] & OWN) >> 1
+        (self.surface[row_of(y, z)] & OWN) >> 1
     }
 
-    /// The set of a cell's negative corners, as numbered in [`super::cube`].
-    #[inline]
-    pub(super) fn case(&self, cell: IVec3) -> usize {
-        let pairs = four(&self.negative, cell.y, cell.z).map(|row| usize::from(row >> (cell.x + 1) & 3));
-        pairs[0] | pairs[1] << 2 | pairs[2] << 4 | pairs[3] << 6
-    }
-
-    #[inline]
-    fn at(&self, voxel: IVec3) -> Voxel {
-        self.voxels[offset(voxel)]
-    }
-
-    /// Was the voxel observed?
-    #[inline]
-    fn is_valid(&self, voxel: IVec3) -> bool {
-        self.at(voxel).weight_sum >= self.min_sum
-    }
-
-    /// F of an observed voxel.
-    #[inline]
-    pub(super) fn distance(&self, voxel: IVec3) -> f32 {
-        let v = self.at(voxel);
-        v.distance_sum as f32 / v.weight_sum.max(1) as f32
-    }
-
-    /// The field's gradient at an observed voxel, per voxel: central differences where both sides are observed.
-    pub(super) fn gradient(&self, voxel: IVec3) -> glam::Vec3 {
-        let here = self.distance(voxel);
-        let along = |axis: IVec3| {
-            let side = |v: IVec3| self.is_valid(v).then(|| self.distance(v));
-            match (side(voxel - axis), side(voxel + axis)) {
-                (Some(low), Some(high)) => 0.5 * (high - low),
-                (Some(low), None) => here - low,
-                (None, Some(high)) => high - here,
-                (None, None) => 0.0,
-            }
-        };
-        glam::Vec3::new(along(IVec3::X), along(IVec3::Y), along(IVec3::Z))
-    }
-}
-
-/// The corner of a cell, as numbered in [`super::cube`].
-#[inline]
-pub(super) fn corner(c: usize) -> IVec3 {
-    IVec3::new(c as i32 & 1, c as i32 >> 1 & 1, c as i32 >> 2)
-}
-
-#[inline]
-fn offset(v: IVec3) -> usize {
-    ((v.x + 1) + EDGE as i32 * ((v.y + 1) + EDGE as i32 * (v.z + 1))) as usize
-}
-
-#[inline]
-fn row_of(y: i32, z: i32) -> usize {
-    ((y + 1) + EDGE as i32 * (z + 1)) as usize
-}
-
-/// The rows of the four voxels of a cell that differ in y and z.
-#[inline]
-fn four(rows: &[u16], y: i32, z: i32) -> [u16; 4] {
-    [
-        rows[row_of(y, z)],
-        rows[row_of(y + 1, z)],
-        rows[row_of(y, z + 1)],
-        rows[row_of(y + 1, z + 1)],
-    ]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A block and its rim with voxels from a simple generator of random numbers.
-    fn random(seed: u64) -> Neighbourhood {
-        let mut map = VoxelMap::new(crate::MapConfig::default()).unwrap();
-        let mut state = seed;
-        for n in 0..27 {
-            let index = BlockIndex(IVec3::new(n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1));
-            let shard = &mut map.shards[crate::map::shard_of(index)];
-            let slot = shard.slot_or_insert(index);
-            for voxel in &mut shard.blocks_mut()[slot as usize].voxels {
-                state = state
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1_442_695_040_888_963_407);
-                let bits = (state >> 33) as u32;
-                *voxel = Voxel {
-                    weight_sum: 1000 * u32::from(!bits.is_multiple_of(8)),
-                    distance_sum: (bits >> 8 & 7) as i32 - 3,
-                };
-            }
-        }
-        let mut near = Neighbourhood::new(1);
-        near.load(&map, BlockIndex(IVec3::ZERO));
-        near
-    }
-
-    #[test]
-    fn rows_of_bits_say_what_each_voxel_says() {
-        let mut seen = [0; 2];
-        for seed in 0..20 {
-            let near = random(seed);
-            let negative = |v| near.at(v).distance_sum < 0;
-            let is_cell = |v| (0..8).all(|c| near.is_valid(v + corner(c)));
-            for local in 0..512 {
-                let v = crate::index::voxel_at(BlockIndex(IVec3::ZERO), local);
-                let vertices = near.vertices_in_row(v.y, v.z);
-                let axes = [IVec3::X, IVec3::Y, IVec3::Z];
-                for k in 0..3 {
-                    let (u, w) = (axes[(k + 1) % 3], axes[(k + 2) % 3]);
-                    let other = v + axes[k];
-                    let literal = near.is_valid(v)
-                        && near.is_valid(other)
-                        && negative(v) != negative(other)
-                        && [v, v - u, v - w, v - u - w].into_iter().any(is_cell);
-                    assert_eq!(vertices[k] >> v.x & 1 == 1, literal, "{v} along {k}");
-                    seen[0] += usize::from(literal);
+    /// The grid edges from the block's own voxels that the surface crosses, layer by layer: bit x + 8 y.
+    #[inline(always)]
+    pub(super) fn own_edges(&self) -> [[u64; 8]; 3] {
+        let mut own = [[0; 8]; 3];
+        for (own, rows) in own.iter_mut().zip(&self.edges) {
+            for (z, own) in own.iter_mut().enumerate() {
+                let mut layer = [0; 8];
+                for (y, row) in layer.iter_mut().enumerate() {
+                    *row = (rows[LAYER * (z + 1) + y + 1] >> 1) as u8;
                 }
-                let case = (0..8).fold(0, |case, c| case | usize::from(negative(v + corner(c))) << c);
-                assert_eq!(near.case(v), case);
-                let literal = is_cell(v) && case != 0 && case != 255;
-                assert_eq!(near.surface_cells_in_row(v.y, v.z) >> v.x & 1 == 1, literal, "{v}");
-                seen[1] += usize::from(literal);
+                *own = u64::from_le_bytes(layer);
             }
         }
-        assert!(seen.iter().all(|&n| n > 1000), "{seen:?}");
+        own
     }
+
+    /// The blocks whose voxels the surface in the block's cells depends on, with its normals: bits, as numbered in [`Near`].
+    /// After loading with [`Cells::Own`].
+    #[inline(always)]
+    pub(super) fn sources<S: Simd>(&self, simd: S) -> u32 {
+        let mut seen = needed(simd, &self.edges);
+        for z in 1..10 {
+            let i = LAYER * z;
+            let cells = rows(simd, &self.surface, i) | rows(simd, &self.surface, i - 1);
+            let cells = cells | rows(simd, &self.surface, i - LAYER);
+            let cells = cells | rows(simd, &self.surface, (i - LAYER).saturating_sub(1));
+            (cells | cells << 1 | rows(simd, &seen, i)).store_slice(&mut seen[i..i + LAYER]);
+        }
+        let mut sources = 0;
+        for (z, layer) in seen.chunks(LAYER).take(11).enumerate() {
+            let mut rows = [0; 3];
+            for (y, row) in layer[..11].iter().enumerate() {
+                rows[y.div_ceil(8)] |= row;
+            }
+            for (k, row) in rows.into_iter().enumerate() {
+                let (before, own, after) = (row & 1, u32::from(row & OWN != 0), u32::from(row >> 9 != 0));
+                let before = u32::from(before);
+                sources |= (before | own << 1 | after << 2) << (3 * k + 9 * z.div_ceil(8));
+            }
+        }
+        sources
+    }
+
+    /// Calls back with each of the block's cells that the surface passes, and the set of its negative corners as numbered in
+    /// [`super::cube`].
+    #[inline(always)]
+    pub(super) fn for_each_cell(&self, mut found: impl FnMut([i32; 3], usize)) {
+        for z in 0..8 {
+            for y in 0..8 {
+                let row = row_of(y, z);
+                let mut cells = self.surface[row] & OWN;
+                if cells == 0 {
+                    continue;
+                }
+                let (a, b) = (usize::from(self.negative[row]), usize::from(self.negative[row + 1]));
+                let (c, d) = (self.negative[row + LAYER], self.negative[row + LAYER + 1]);
+                let (c, d) = (usize::from(c), usize::from(d));
+                while cells != 0 {
+                    let x = cells.trailing_zeros();
+                    let negative = a >> x & 3 | (b >> x & 3) << 2 | (c >> x & 3) << 4 | (d >> x & 3) << 6;
+                    found([x as i32 - 1, y, z], negative);
+                    cells &= cells - 1;
+                }
+            }
+        }
+    }
+}
+
+/// Sixteen rows.
+#[inline(always)]
+fn rows<S: Simd>(simd: S, all: &[u16], first: usize) -> u16x16<S> {
+    u16x16::from_slice(simd, &all[first..first + LAYER])
+}
+
+/// The bits of the block's own voxels in layer z − 1.
+#[inline(always)]
+fn own_rows<S: Simd>(simd: S, z: usize) -> u16x16<S> {
+    u16x16::simd_from(simd, if (1..9).contains(&z) { OWN_ROWS } else { [0; LAYER] })
+}
+
+/// The voxels that vertices on some edges need: the ends of these edges, and those beside the ends.
+#[inline(always)]
+pub(super) fn needed<S: Simd>(simd: S, [along_x, along_y, along_z]: &[Rows; 3]) -> Rows {
+    // One layer on.
+    let mut ends = [0; LEN + 2 * LAYER];
+    for z in 1..11 {
+        let i = LAYER * z;
+        let x = rows(simd, along_x, i);
+        let y = rows(simd, along_y, i) | rows(simd, along_y, i - 1);
+        let z = rows(simd, along_z, i) | rows(simd, along_z, i - LAYER);
+        (x | x << 1 | y | z).store_slice(&mut ends[i + LAYER..i + 2 * LAYER]);
+    }
+    let mut needed = [0; LEN];
+    for z in 0..11 {
+        let i = LAYER * z;
+        let here = rows(simd, &ends, i + LAYER);
+        let beside_y = rows(simd, &ends, i + LAYER - 1) | rows(simd, &ends, i + LAYER + 1);
+        let beside_z = rows(simd, &ends, i) | rows(simd, &ends, i + 2 * LAYER);
+        (here | here << 1 | here >> 1 | beside_y | beside_z).store_slice(&mut needed[i..i + LAYER]);
+    }
+    needed
+}
+
+/// Puts the bits of a block and its rim side by side, for x, y, z in −1..=8.
+#[inline(always)]
+pub(super) fn around<'a>(bits: impl Fn(usize) -> &'a Bits) -> Rows {
+    let mut rows = [0; LEN];
+    for z in 0..10_usize {
+        // z − 1 is a layer of the block below, of this one, or of that above.
+        let (part, local) = (z.div_ceil(8), (z + 7) % 8);
+        let layer = &mut rows[LAYER * z..LAYER * (z + 1)];
+        let of = |n: usize| &bits(n + 9 * part)[local];
+        layer[0] = row(of(0)[7], of(1)[7], of(2)[7]);
+        let (left, own, right) = (of(3), of(4), of(5));
+        for y in 0..8 {
+            layer[y + 1] = row(left[y], own[y], right[y]);
+        }
+        layer[9] = row(of(6)[0], of(7)[0], of(8)[0]);
+    }
+    rows
+}
+
+/// A row of a block between those of its neighbours.
+#[inline(always)]
+fn row(left: u8, own: u8, right: u8) -> u16 {
+    u16::from(left >> 7) | u16::from(own) << 1 | u16::from(right & 1) << 9
+}
+
+/// The bits about each of the own bits' number x + 8y + 64z: as numbered in [`Near`].
+#[inline(always)]
+pub(super) fn bits_about(rows: &Rows, number: usize) -> u32 {
+    let (x, row) = (number % 8, row_of(number as i32 / 8 % 8, number as i32 / 64 % 8));
+    let mut all = 0;
+    for (k, lane) in [0, LAYER, 2 * LAYER]
+        .into_iter()
+        .flat_map(|layer| [layer, layer + 1, layer + 2])
+        .enumerate()
+    {
+        all |= u32::from(rows[row + lane - LAYER - 1] >> x & 7) << (3 * k);
+    }
+    all
+}
+
+/// The number of a row of voxels, y and z in −1..=9.
+#[inline(always)]
+pub(super) fn row_of(y: i32, z: i32) -> usize {
+    (y + 1) as usize + LAYER * (z + 1) as usize
 }

@@ -1,5 +1,6 @@
 //! The map as rays need it: the blocks with surface and their neighbours, and the tree that finds them.
 
+use fearless_simd::{Level, dispatch};
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
@@ -8,8 +9,10 @@ use super::tree::{Beam, Leaf, MAX_SPAN, Tree};
 use super::walk::{Ray, Visit};
 use super::{Hit, RenderError};
 use crate::index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex, local_number};
-use crate::map::{Block, Voxel, VoxelMap, min_weight_sum};
-use crate::mesh::neighbourhood::Neighbourhood;
+use crate::map::{Block, Voxel, VoxelMap};
+use crate::mesh::near::Finder;
+use crate::mesh::neighbourhood::{Cells, Neighbourhood};
+use crate::mesh::{MeshConfig, signs::Signs};
 
 /// The surface of a map.
 #[derive(Debug)]
@@ -17,7 +20,7 @@ pub(super) struct Field<'a> {
     blocks: Vec<Near<'a>>,
     tree: Tree,
     /// Voxels with less count as unobserved.
-    min_sum: u32,
+    min_sum: i32,
     voxel_size_m: f64,
 }
 
@@ -30,16 +33,29 @@ struct Near<'a> {
 
 impl<'a> Field<'a> {
     pub(super) fn new(map: &'a VoxelMap, min_weight: f32) -> Result<Self, RenderError> {
-        let min_sum = min_weight_sum(min_weight).max(1);
+        let min_sum = MeshConfig { min_weight }.min_weight_sum();
+        let level = Level::new();
+        let signs = Signs::of_all(map, min_sum, level);
         let surface: Vec<(Near<'a>, [u64; 8])> = map
             .block_indices()
             .into_par_iter()
             .map_init(
-                || Neighbourhood::new(min_sum),
-                |near, index| {
-                    near.load(map, index);
+                || (Finder::new(map), Neighbourhood::EMPTY),
+                |(finder, near), index| {
+                    let places = finder.near(index);
+                    let signs = places.map(|place| place.and_then(|p| signs.get(p)));
+                    dispatch!(level, simd => near.load(simd, &signs, Cells::Own));
                     let octants = octants(near);
-                    (octants != [0; 8]).then(|| (Near::of(map, index), octants))
+                    let blocks = || places.map(|place| place.map(|p| p.block(map)));
+                    (octants != [0; 8]).then(|| {
+                        (
+                            Near {
+                                index,
+                                blocks: blocks(),
+                            },
+                            octants,
+                        )
+                    })
                 },
             )
             .flatten()
@@ -121,14 +137,6 @@ impl<'a> Field<'a> {
 }
 
 impl<'a> Near<'a> {
-    fn of(map: &'a VoxelMap, index: BlockIndex) -> Self {
-        let offset = |n: i32| IVec3::new(n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1);
-        Self {
-            index,
-            blocks: std::array::from_fn(|n| map.block(BlockIndex(index.0 + offset(n as i32)))),
-        }
-    }
-
     /// A voxel by its coordinates relative to the block's first, −8..16.
     #[inline]
     fn voxel(&self, local: IVec3) -> Voxel {
@@ -161,7 +169,7 @@ impl<'a> Near<'a> {
 
     /// The gradient of F per voxel at a place in a cell: trilinear between those at the corners, which are central differences
     /// where both sides are observed, as the normals of meshes are.
-    fn gradient(&self, cell: IVec3, at: Vec3, min_sum: u32) -> Vec3 {
+    fn gradient(&self, cell: IVec3, at: Vec3, min_sum: i32) -> Vec3 {
         // F at the 4×4×4 voxels about the cell; NaN where unobserved, and on the edges, which no difference needs.
         let mut f = [f32::NAN; 64];
         for z in -1..3 {
@@ -174,7 +182,7 @@ impl<'a> Near<'a> {
                 };
                 for x in across {
                     let voxel = self.voxel(cell + IVec3::new(x, y, z));
-                    if voxel.weight_sum >= min_sum {
+                    if voxel.weight_sum as i32 >= min_sum {
                         f[(row as i32 + x) as usize] = distance(voxel);
                     }
                 }

@@ -1,0 +1,83 @@
+//! What changed of a surface: a piece for each block.
+
+use std::ops::Range;
+
+use glam::{DVec3, Vec3};
+
+use super::{Mesh, near::Place};
+use crate::index::BlockIndex;
+
+/// The surface within the cells of one block, whole in itself: vertices on its border are also part of the pieces beside it, with
+/// the same position and normal, bit for bit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Piece<'a> {
+    /// The block whose voxels are the first corners of the cells.
+    pub block: BlockIndex,
+    /// Vertex positions, world, metres. None: the block has no surface any more.
+    pub vertices: &'a [DVec3],
+    /// Unit normals, one per vertex.
+    pub normals: &'a [Vec3],
+    /// Three vertex numbers per triangle, counting from the piece's first vertex.
+    pub triangles: &'a [[u32; 3]],
+}
+
+/// The pieces of a surface that changed.
+#[derive(Debug, Default)]
+pub struct Changes {
+    pub(super) chunks: Vec<Chunk>,
+    /// In order.
+    pub(super) entries: Vec<Entry>,
+}
+
+impl Changes {
+    /// The pieces, in the order of their blocks.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = Piece<'_>> {
+        self.entries.iter().map(|entry| {
+            let mesh = &self.chunks[entry.chunk].mesh;
+            Piece {
+                block: entry.block,
+                vertices: &mesh.vertices[entry.vertices.clone()],
+                normals: &mesh.normals[entry.vertices.clone()],
+                triangles: &mesh.triangles[entry.triangles.clone()],
+            }
+        })
+    }
+
+    /// How many pieces there are.
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Whether nothing changed.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+}
+
+/// The pieces that one task made, one after another.
+#[derive(Debug, Default)]
+pub(super) struct Chunk {
+    pub(super) mesh: Mesh,
+    pub(super) entries: Vec<Entry>,
+    /// Of the entries' blocks: where they are, and what their surface depends on.
+    pub(super) sources: Vec<(Place, u32)>,
+}
+
+/// Where a piece is.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    pub(super) block: BlockIndex,
+    pub(super) chunk: usize,
+    pub(super) vertices: Range<usize>,
+    pub(super) triangles: Range<usize>,
+}
+
+impl Chunk {
+    pub(super) fn clear(&mut self) {
+        self.mesh.vertices.clear();
+        self.mesh.normals.clear();
+        self.mesh.triangles.clear();
+        self.entries.clear();
+        self.sources.clear();
+    }
+}
