@@ -406,7 +406,7 @@ proptest! {
             .map(|(&units, &shown)| if shown && units != u16::MAX { f32::from(units) * scale } else { 0.0 })
             .collect();
         let mut image = DepthImage::default();
-        image.render(&scan.camera.unwrap(), scan.points.iter().copied());
+        image.render(&scan.camera.unwrap(), &scan.points, |p| p);
         prop_assert_eq!(&image.depths_m, &expected);
         prop_assert_eq!((image.hidden, image.outside), (0, 0));
         let measured = expected.iter().filter(|&&d| d > 0.0).count();
@@ -434,7 +434,7 @@ fn real() -> Option<PathBuf> {
 fn median_difference_m(a: &Scan, b: &Scan, shift: DVec3) -> f32 {
     let camera = b.camera.unwrap();
     let mut image = DepthImage::default();
-    image.render(&camera, b.points.iter().copied());
+    image.render(&camera, &b.points, |p| p);
     let b_from_a = b.pose.inverse()
         * Pose {
             translation: a.pose.translation + shift,
