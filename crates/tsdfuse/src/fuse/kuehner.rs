@@ -41,6 +41,9 @@ pub struct Kuehner {
     beams: Beams,
     placed: Placed,
     seen: Vec<CylindricalPoint>,
+    /// Of the image.
+    depths_m: Vec<f32>,
+    rings: Vec<u16>,
     gather: Gather,
 }
 
@@ -64,7 +67,8 @@ impl Integrator for Kuehner {
         let sensor = self.beams.of(scan)?;
         let rings = rings_of(scan, sensor);
         let world_from_sensor = world_axes(scan);
-        let mut image = Image::new(scan, &rings, sensor);
+        let buffers = (std::mem::take(&mut self.depths_m), std::mem::take(&mut self.rings));
+        let mut image = Image::new(scan, &rings, sensor, buffers);
         let sensor_from_world = world_from_sensor.transpose();
         let seen = &mut self.seen;
         image
@@ -80,7 +84,6 @@ impl Integrator for Kuehner {
             rotation: world_from_sensor.transpose(),
             voxel_size_m: config.voxel_size_m as f32,
         };
-        let image = &image;
         let level = self.gather.level();
         let mut done = self.gather.run(
             map,
@@ -99,6 +102,7 @@ impl Integrator for Kuehner {
         done.skipped = image.skipped;
         done.fused_returns = scan.points.len() as u64 - image.skipped.hidden - image.skipped.outside_image;
         done.prepare_secs = prepare_secs;
+        (self.depths_m, self.rings) = (image.depths_m, image.rings);
         Ok(done)
     }
 }
@@ -150,7 +154,8 @@ struct Image {
 }
 
 impl Image {
-    fn new(scan: &Scan, rings: &[u16], sensor: &SensorModel) -> Self {
+    /// Reuses two `buffers`.
+    fn new(scan: &Scan, rings: &[u16], sensor: &SensorModel, buffers: (Vec<f32>, Vec<u16>)) -> Self {
         let center_z_m = center_of_projection(&scan.points, rings, sensor);
         let tangents: Vec<f32> = sensor.elevations_deg.iter().map(|e| e.to_radians().tan()).collect();
         let pitch = std::f32::consts::TAU / sensor.columns as f32;
@@ -171,10 +176,14 @@ impl Image {
         let phase = Cylindrical::phase_of(&scan.points, sensor.columns);
         let projection = Cylindrical::new(sensor, center_z_m, phase, margin);
         let pixels = projection.rows() * projection.columns();
+        let (mut depths_m, mut of_ring) = buffers;
+        depths_m.clear();
+        depths_m.resize(pixels, 0.0);
+        of_ring.resize(pixels, 0); // only those with a depth are looked at
         Self {
             projection,
-            depths_m: vec![0.0; pixels],
-            rings: vec![0; pixels],
+            depths_m,
+            rings: of_ring,
             reach,
             skipped: Skipped::default(),
         }

@@ -52,6 +52,7 @@ impl Integrator for Normals {
     fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError> {
         let start = Instant::now();
         self.placed.place(map.grid(), scan)?;
+        self.placed.sort(map.grid());
         if scan.points.is_empty() {
             return Ok(Integration::default());
         }

@@ -18,7 +18,7 @@ pub(crate) struct Placed {
     pub(crate) points: Vec<Vec3>,
     /// Start of each ray; empty if all start at the anchor.
     pub(crate) origins: Vec<Vec3>,
-    /// The numbers of all returns, neighbours in the world mostly one after the other.
+    /// The numbers of all returns, neighbours in the world mostly one after the other; once they are sorted.
     pub(crate) order: Vec<u32>,
     cells: Vec<u16>,
 }
@@ -65,16 +65,19 @@ impl Placed {
                     .collect_into_vec(&mut self.points);
             }
         }
-        self.sort(anchor, (1.0 / grid.voxel_size_m()) as f32);
         Ok(())
     }
 
-    /// Orders the returns by regions, and within them by cells of 2³ blocks, which a counting sort takes in any order (and some
-    /// as one).
-    fn sort(&mut self, anchor: Anchor, voxels_per_m: f32) {
+    /// Orders the placed returns by regions, and within them by cells of 2³ blocks, which a counting sort takes in any order
+    /// (and some as one).
+    pub(crate) fn sort(&mut self, grid: Grid) {
+        self.order.clear();
+        let Some(anchor) = self.anchor else {
+            return;
+        };
         let (voxel, fraction) = anchor.split();
         let cell_edge = (2 * BLOCK_EDGE) as f32;
-        let scale = voxels_per_m / cell_edge;
+        let scale = (1.0 / grid.voxel_size_m()) as f32 / cell_edge;
         // Within the anchor's region; rounding may move a return at a border to the next cell.
         let start = ((voxel & ((1 << REGION_SHIFT) - 1)).as_vec3() + fraction.as_vec3()) / cell_edge - 0.5;
         let cell = |p: &Vec3| {
@@ -92,7 +95,6 @@ impl Placed {
         let mut starts = [0; CELLS + 1];
         self.cells.iter().for_each(|&cell| starts[usize::from(cell) + 1] += 1);
         (0..CELLS).for_each(|c| starts[c + 1] += starts[c]);
-        self.order.clear();
         self.order.resize(self.points.len(), 0);
         for (i, &cell) in (0..).zip(&self.cells) {
             let next = &mut starts[usize::from(cell)];

@@ -70,6 +70,7 @@ impl Integrator for Raycast {
     fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError> {
         let start = Instant::now();
         self.placed.place(map.grid(), scan)?;
+        self.placed.sort(map.grid());
         let prepare_secs = start.elapsed().as_secs_f64();
 
         let truncation = map.config().truncation_vox();
