@@ -60,15 +60,21 @@ impl Kuehner {
 impl Integrator for Kuehner {
     fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError> {
         let start = Instant::now();
-        self.placed.place(map.grid(), scan)?;
-        let (Some(anchor), false) = (self.placed.anchor(), scan.points.is_empty()) else {
+        let (grid, placed) = (map.grid(), &mut self.placed);
+        if scan.points.is_empty() {
+            placed.place(grid, scan)?;
             return Ok(Integration::default());
-        };
+        }
+        scan.check()?;
         let sensor = self.beams.of(scan)?;
         let rings = rings_of(scan, sensor);
         let world_from_sensor = world_axes(scan);
         let buffers = (std::mem::take(&mut self.depths_m), std::mem::take(&mut self.rings));
-        let mut image = Image::new(scan, &rings, sensor, buffers);
+        let (anchor, mut image) = rayon::join(
+            || placed.place(grid, scan),
+            || Image::new(scan, &rings, sensor, buffers),
+        );
+        let anchor = anchor?;
         let sensor_from_world = world_from_sensor.transpose();
         let seen = &mut self.seen;
         image

@@ -51,13 +51,18 @@ impl Normals {
 impl Integrator for Normals {
     fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError> {
         let start = Instant::now();
-        self.placed.place(map.grid(), scan)?;
-        self.placed.sort(map.grid());
+        let (grid, placed, image) = (map.grid(), &mut self.placed, &mut self.image);
         if scan.points.is_empty() {
+            placed.place(grid, scan)?;
             return Ok(Integration::default());
         }
+        scan.check()?;
         let sensor = self.beams.of(scan)?;
-        self.image.update(&scan.points, &rings_of(scan, sensor), sensor);
+        let (done, ()) = rayon::join(
+            || placed.place(grid, scan).map(|_| placed.sort(grid)),
+            || image.update(&scan.points, &rings_of(scan, sensor), sensor),
+        );
+        done?;
         let origins = Some(self.placed.origins.as_slice()).filter(|o| !o.is_empty());
         estimate(
             &self.image,

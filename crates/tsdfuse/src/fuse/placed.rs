@@ -39,8 +39,8 @@ const REGIONS: i32 = 1 << 7;
 const CELLS: usize = (REGIONS as usize) << 6;
 
 impl Placed {
-    /// Places all returns of a scan, reusing this buffer.
-    pub(crate) fn place(&mut self, grid: Grid, scan: &Scan) -> Result<(), FuseError> {
+    /// Places all returns of a scan, reusing this buffer; tells where the scan is anchored.
+    pub(crate) fn place(&mut self, grid: Grid, scan: &Scan) -> Result<Anchor, FuseError> {
         scan.check()?;
         let position = scan.pose.translation;
         let anchor = grid.anchor(position).ok_or_else(|| FuseError::OutsideGrid {
@@ -65,7 +65,7 @@ impl Placed {
                     .collect_into_vec(&mut self.points);
             }
         }
-        Ok(())
+        Ok(anchor)
     }
 
     /// Orders the placed returns by regions, and within them by cells of 2³ blocks, which a counting sort takes in any order
