@@ -50,10 +50,11 @@ fn edges_of(cloud: &Cloud, i: usize) -> Option<[Vec3; 4]> {
 #[inline(always)]
 fn fuse_triangles(edges: [Vectors; 4], rays: Vectors, min_dot: f32) -> (Vectors, Floats) {
     // A triangle without area has a NaN normal, which is similar to none.
-    let triangles: [Vectors; 4] = std::array::from_fn(|j| {
+    let mut triangles = [Vectors::ZERO; 4];
+    for (j, triangle) in triangles.iter_mut().enumerate() {
         let n = edges[j].cross(edges[(j + 1) % 4]);
-        n.scale(n.inverse_length())
-    });
+        *triangle = n.scale(n.inverse_length());
+    }
     let similar = |a: usize, b: usize| -> Mask {
         let dot = triangles[a].dot(triangles[b]);
         lanes(|l| dot[l] > min_dot)

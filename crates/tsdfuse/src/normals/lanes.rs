@@ -19,10 +19,14 @@ pub(super) struct Vectors {
     pub(super) z: Floats,
 }
 
-/// Applies a function lane by lane.
+/// Applies a function lane by lane. A plain loop: `array::from_fn` is not inlined into code with other vector instructions.
 #[inline(always)]
-pub(super) fn lanes<T>(f: impl FnMut(usize) -> T) -> [T; LANES] {
-    std::array::from_fn(f)
+pub(super) fn lanes<T: Copy + Default>(mut f: impl FnMut(usize) -> T) -> [T; LANES] {
+    let mut all = [T::default(); LANES];
+    for (lane, value) in all.iter_mut().enumerate() {
+        *value = f(lane);
+    }
+    all
 }
 
 impl Vectors {
