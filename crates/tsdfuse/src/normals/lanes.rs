@@ -1,9 +1,9 @@
-//! Eight returns side by side, in loops that the compiler turns into vector instructions.
+//! Sixteen returns side by side, in loops that the compiler turns into vector instructions.
 
 use glam::Vec3;
 
 /// How many returns are worked on together.
-pub(super) const LANES: usize = 8;
+pub(super) const LANES: usize = 16;
 
 /// One number per return.
 pub(super) type Floats = [f32; LANES];
