@@ -19,7 +19,7 @@ use crate::config::Suggested;
 use crate::exit::{Outcome, one_line};
 use crate::machine::Machine;
 use crate::progress;
-use crate::report::{SkippedScan, print, print_json};
+use crate::report::{SkippedScan, command_line, print, print_json};
 use crate::settings::Settings;
 use limits::Limits;
 use method::Method;
@@ -94,7 +94,7 @@ fn compare(args: &Args) -> Result<Outcome> {
 
     let results = Results {
         version: env!("CARGO_PKG_VERSION"),
-        command_line: std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect(),
+        command_line: command_line(),
         machine: Machine::here(rayon::current_num_threads()),
         dataset: Data {
             name: args.settings.dataset.display().to_string(),

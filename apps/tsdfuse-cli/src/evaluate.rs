@@ -30,7 +30,7 @@ use crate::config::{RunConfig, Suggested};
 use crate::exit::{Outcome, Usage, one_line};
 use crate::machine::Machine;
 use crate::progress::{self, note, say};
-use crate::report::{print, print_json};
+use crate::report::{command_line, print, print_json};
 use crate::settings::split;
 use child::{FuseReport, Skipped, Wanted};
 use forms::Form;
@@ -186,7 +186,7 @@ impl<'a> Evaluation<'a> {
         };
         let results = Results {
             version: env!("CARGO_PKG_VERSION"),
-            command_line: std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect(),
+            command_line: command_line(),
             machine: Machine::here(methods.first().map_or(0, |row| row.threads)),
             dataset: Data {
                 name: name.to_string_lossy().into_owned(),

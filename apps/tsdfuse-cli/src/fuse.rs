@@ -23,8 +23,8 @@ use crate::mesh::surface;
 use crate::progress::{self, say};
 use crate::render::preview;
 use crate::report::{
-    DatasetReport, FinishReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, left_out,
-    peak_memory_bytes, print_json,
+    DatasetReport, FinishReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, command_line,
+    left_out, peak_memory_bytes, print_json,
 };
 use crate::settings::{Settings, split};
 
@@ -55,7 +55,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
 
     let report = Report {
         version: env!("CARGO_PKG_VERSION"),
-        command_line: std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect(),
+        command_line: command_line(),
         threads: rayon::current_num_threads(),
         dataset: DatasetReport {
             path: settings.dataset.clone(),

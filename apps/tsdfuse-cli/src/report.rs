@@ -17,6 +17,11 @@ use crate::fuse::GrowthReport;
 use crate::progress::say;
 use crate::render::ViewReport;
 
+/// The arguments as they were given, the program's name first.
+pub(crate) fn command_line() -> Vec<String> {
+    std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect()
+}
+
 /// Everything about one run of `tsdfuse fuse`. Times are seconds of wall time.
 #[derive(Debug, Serialize)]
 pub(crate) struct Report {

@@ -19,7 +19,7 @@ use crate::evaluate::results::median;
 use crate::exit::Outcome;
 use crate::fuse::Fusion;
 use crate::machine::Machine;
-use crate::report::{ScanReport, print, print_json};
+use crate::report::{ScanReport, command_line, print, print_json};
 
 /// Scans of a pass.
 const PASS: usize = 100;
@@ -130,7 +130,7 @@ pub(super) fn run(args: &Args, scans: usize) -> Result<Outcome> {
     }
     let results = Results {
         version: env!("CARGO_PKG_VERSION"),
-        command_line: std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect(),
+        command_line: command_line(),
         machine: Machine::here(rayon::current_num_threads()),
         config: method.config,
         passes,

@@ -1,5 +1,6 @@
 //! The centres of a block's voxels, as a sensor sees them.
 
+use fearless_simd::{Simd, f32x8, prelude::*};
 use glam::{Mat3, Vec3};
 
 use super::gather::ROW;
@@ -45,6 +46,16 @@ impl Centers {
             }
         }
     }
+}
+
+/// The depths that an image has in the pixels of a row's voxels.
+#[inline(always)]
+pub(crate) fn depths_at<S: Simd>(simd: S, image_m: &[f32], pixels: [i32; ROW]) -> f32x8<S> {
+    let mut depths_m = [0.0; ROW];
+    for (depth_m, pixel) in depths_m.iter_mut().zip(pixels) {
+        *depth_m = image_m[pixel as usize];
+    }
+    f32x8::simd_from(simd, depths_m)
 }
 
 /// The x, y and z coordinates of the voxels in a row.

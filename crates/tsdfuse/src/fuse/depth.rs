@@ -16,7 +16,7 @@ use glam::{Mat3, Vec3};
 
 use super::{
     FuseError, Integration, Integrator,
-    centers::{BLOCK_RADIUS, Centers},
+    centers::{BLOCK_RADIUS, Centers, depths_at},
     gather::{Gather, Near, ROW, Skip, Updates},
     pierced::Segment,
 };
@@ -207,11 +207,7 @@ impl View {
                 if !inside.any_true() {
                     return;
                 }
-                let mut depths_m = [0.0; ROW];
-                for (depth_m, pixel) in depths_m.iter_mut().zip(pixels) {
-                    *depth_m = self.image.depths_m[pixel as usize];
-                }
-                let depth = vector(depths_m);
+                let depth = depths_at(simd, &self.image.depths_m, pixels);
                 let eta = depth - vector(*x); // (5.2)
                 let inside = inside & depth.simd_gt(0.0) & eta.simd_ge(-truncation_m);
                 let weight = f32x8::splat(simd, 1.0);

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use super::{
     FuseError, Integration, Integrator, Skipped,
     beams::Beams,
-    centers::Centers,
+    centers::{Centers, depths_at},
     depth::world_axes,
     gather::{Gather, Near, ROW, Skip, Updates},
     placed::Placed,
@@ -29,11 +29,8 @@ use crate::{
     index::{Anchor, BLOCK_EDGE, BlockIndex},
     map::{MapConfig, VoxelMap},
     scan::Scan,
-    sensor::{Cylindrical, CylindricalPoint, SensorModel, approx::sin_cos, rings_of},
+    sensor::{Cylindrical, CylindricalPoint, PART, SensorModel, approx::sin_cos, rings_of},
 };
-
-/// Returns that one thread takes at a time.
-const PART: usize = 8192;
 
 /// The integrator of dense cylindrical depth images.
 #[derive(Debug, Default)]
@@ -87,7 +84,7 @@ impl Integrator for Kuehner {
         let config = *map.config();
         let centers = Centers {
             anchor,
-            rotation: world_from_sensor.transpose(),
+            rotation: sensor_from_world,
             voxel_size_m: config.voxel_size_m as f32,
         };
         let level = self.gather.level();
@@ -317,11 +314,7 @@ impl Image {
                 if !inside.any_true() {
                     return;
                 }
-                let mut measured = [0.0; ROW];
-                for (measured, pixel) in measured.iter_mut().zip(pixels) {
-                    *measured = self.depths_m[pixel as usize];
-                }
-                let measured = f32x8::simd_from(simd, measured);
+                let measured = depths_at(simd, &self.depths_m, pixels);
                 let ahead = measured - depth;
                 // Ranges differ by no less than depths.
                 let near = inside & measured.simd_gt(0.0) & ahead.abs().simd_le(truncation_m);

@@ -4,7 +4,7 @@ use fearless_simd::{Level, dispatch};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::Pinhole;
+use super::{NONE, PART, Pinhole};
 
 /// Depths along the optical axis, metres, row by row from the top left; 0 where nothing was measured.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -15,7 +15,7 @@ pub struct DepthImage {
     pub hidden: u64,
     /// Points that are not finite or lie outside the image.
     pub outside: u64,
-    /// Of each point: its pixel, and its depth.
+    /// Of each point: its pixel, or [`NONE`], and its depth.
     seen: Vec<(u32, f32)>,
 }
 
@@ -27,14 +27,14 @@ impl DepthImage {
         self.depths_m.clear();
         self.depths_m.resize(camera.pixels(), 0.0);
         (self.hidden, self.outside) = (0, 0);
-        self.seen.resize(points.len(), (OUTSIDE, 0.0));
+        self.seen.resize(points.len(), (NONE, 0.0));
         let level = Level::new(); // the vector instructions of this CPU
         let parts = points.par_chunks(PART).zip(self.seen.par_chunks_mut(PART));
         parts.for_each(|(points, seen)| {
             dispatch!(level, _ => for (&point, seen) in points.iter().zip(seen) {
                 let point = to_camera(point);
                 let pixel = camera.pixel(point).filter(|_| point.x < f32::MAX);
-                *seen = (pixel.map_or(OUTSIDE, |pixel| pixel as u32), point.x);
+                *seen = (pixel.map_or(NONE, |pixel| pixel as u32), point.x);
             });
         });
         for &(pixel, depth_m) in &self.seen {
@@ -49,12 +49,6 @@ impl DepthImage {
         }
     }
 }
-
-/// The pixel of points outside the image.
-const OUTSIDE: u32 = u32::MAX;
-
-/// Points that one thread takes at a time.
-const PART: usize = 8192;
 
 #[cfg(test)]
 mod tests {

@@ -24,7 +24,7 @@ use super::approx::{atan2_f32, sin_cos};
 pub const NONE: u32 = u32::MAX;
 
 /// Returns that one thread takes at a time.
-pub(super) const PART: usize = 8192;
+pub(crate) const PART: usize = 8192;
 
 /// Returns of one ring that are at most this far apart, in columns, are of one firing.
 const SAME_FIRING: f32 = 0.25;

@@ -18,6 +18,7 @@ pub(crate) mod testing;
 pub use cylindrical::{Cylindrical, CylindricalPoint};
 pub use depth_image::DepthImage;
 pub use guess::guess;
+pub(crate) use image::PART;
 pub use image::{NONE, ScanImage};
 pub use order::{OrderedRings, rings_by_order};
 pub use pinhole::{MAX_IMAGE_EDGE, Pinhole, PinholeError};
