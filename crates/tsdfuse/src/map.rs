@@ -11,13 +11,18 @@
 //! The table is split into [`SHARDS`] parts by the spatial hash (5.1); a part is only ever touched by one thread at a time,
 //! so that there are neither locks nor atomics (see [`crate::fuse`]).
 
+use std::sync::Arc;
+
 use glam::IVec3;
 use hashbrown::HashMap;
 use rayon::prelude::*;
 use rustc_hash::FxBuildHasher;
 use serde::{Deserialize, Serialize};
 
-use crate::index::{BLOCK_VOXELS, BlockIndex, Grid, local_number, round};
+use crate::{
+    index::{BLOCK_VOXELS, BlockIndex, Grid, local_number, round},
+    memory::{Blocks, Pool},
+};
 
 /// Fixed-point scale of weights and of weighted distances: an update of weight 1 adds 32 768. A weight of 0.01 (a return at
 /// 100 m) still adds 328, and moves S_f in steps of 1/328 of the truncation.
@@ -192,19 +197,11 @@ impl Voxel {
 }
 
 /// 8×8×8 voxels, in the order of [`local_number`].
+#[repr(align(64))]
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Block {
     /// The voxels.
     pub voxels: [Voxel; BLOCK_VOXELS],
-}
-
-impl Block {
-    const EMPTY: Self = Self {
-        voxels: [Voxel {
-            weight_sum: 0,
-            distance_sum: 0,
-        }; BLOCK_VOXELS],
-    };
 }
 
 /// Of a block that is not there.
@@ -228,31 +225,60 @@ pub(crate) fn block_of_region(region: IVec3, number: usize) -> BlockIndex {
 /// One part of the block table.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Shard {
-    /// The number of each region that holds a block.
-    regions: HashMap<IVec3, u32, FxBuildHasher>,
-    /// By region, the slots of its blocks, or [`NO_SLOT`]: neighbours are found without hashing, and near each other in memory.
-    slots: Vec<[u32; REGION_BLOCKS]>,
+    /// The number of each region that holds a block, or could have got one.
+    numbers: HashMap<IVec3, u32, FxBuildHasher>,
+    regions: Vec<Region>,
     indices: Vec<BlockIndex>,
-    blocks: Vec<Block>,
-    /// The integration that touched each block last.
-    stamps: Vec<u32>,
+    blocks: Blocks,
+}
+
+/// Where the blocks of a region are: neighbours are found without hashing, and near each other in memory.
+#[derive(Clone, Debug)]
+struct Region {
+    index: IVec3,
+    /// The slots of its blocks, or [`NO_SLOT`].
+    slots: [u32; REGION_BLOCKS],
+    /// The integration that updated it last, and a bit for each block that it updated.
+    stamp: u32,
+    updated: [u64; REGION_BLOCKS / 64],
 }
 
 impl Shard {
+    /// An empty one, whose blocks come from a pool.
+    fn of(pool: &Arc<Pool>) -> Self {
+        Self {
+            blocks: Blocks::of(pool),
+            ..Self::default()
+        }
+    }
+
     /// The slot of a block, which is made if it is not there.
-    #[inline]
     pub(crate) fn slot_or_insert(&mut self, index: BlockIndex) -> u32 {
         let (region, block) = in_region(index);
-        let region = *self.regions.entry(region).or_insert_with(|| {
-            self.slots.push([NO_SLOT; REGION_BLOCKS]);
-            (self.slots.len() - 1) as u32
-        });
-        let slot = &mut self.slots[region as usize][block];
+        let number = self.number_or_insert(region);
+        self.slot_or_insert_in(number, block)
+    }
+
+    /// The number of a region, which is made if it is not there.
+    fn number_or_insert(&mut self, index: IVec3) -> usize {
+        *self.numbers.entry(index).or_insert_with(|| {
+            self.regions.push(Region {
+                index,
+                slots: [NO_SLOT; REGION_BLOCKS],
+                stamp: 0,
+                updated: [0; REGION_BLOCKS / 64],
+            });
+            (self.regions.len() - 1) as u32
+        }) as usize
+    }
+
+    fn slot_or_insert_in(&mut self, number: usize, block: usize) -> u32 {
+        let region = &mut self.regions[number];
+        let slot = &mut region.slots[block];
         if *slot == NO_SLOT {
             *slot = self.blocks.len() as u32;
-            self.indices.push(index);
-            self.blocks.push(Block::EMPTY);
-            self.stamps.push(0);
+            self.indices.push(block_of_region(region.index, block));
+            self.blocks.push();
         }
         *slot
     }
@@ -265,12 +291,25 @@ impl Shard {
         (slot != NO_SLOT).then_some(slot)
     }
 
-    /// The slot of a block that integration number `stamp` updates; the first time, the block is added to `touched`.
-    #[inline]
-    pub(crate) fn slot_to_update(&mut self, index: BlockIndex, stamp: u32, touched: &mut Vec<BlockIndex>) -> u32 {
-        let slot = self.slot_or_insert(index);
-        if std::mem::replace(&mut self.stamps[slot as usize], stamp) != stamp {
-            touched.push(index);
+    /// The number of a region that integration number `stamp` updates.
+    pub(crate) fn region_to_update(&mut self, index: IVec3, stamp: u32) -> usize {
+        let number = self.number_or_insert(index);
+        let region = &mut self.regions[number];
+        if region.stamp != stamp {
+            region.stamp = stamp;
+            region.updated = [0; REGION_BLOCKS / 64];
+        }
+        number
+    }
+
+    /// The slot of a block that this integration now updates; the first time, the block is added to `touched`.
+    pub(crate) fn slot_to_update(&mut self, number: usize, block: usize, touched: &mut Vec<BlockIndex>) -> u32 {
+        let slot = self.slot_or_insert_in(number, block);
+        let region = &mut self.regions[number];
+        let (word, bit) = (&mut region.updated[block / 64], 1 << (block % 64));
+        if *word & bit == 0 {
+            *word |= bit;
+            touched.push(block_of_region(region.index, block));
         }
         slot
     }
@@ -280,21 +319,21 @@ impl Shard {
         &self.indices
     }
 
-    /// The slots of a region's blocks, or [`NO_SLOT`]; `None` if it has no block.
+    /// The slots of a region's blocks, or [`NO_SLOT`]; `None` if it never had any.
     #[inline]
     pub(crate) fn region(&self, region: IVec3) -> Option<&[u32; REGION_BLOCKS]> {
-        self.regions.get(&region).map(|&number| &self.slots[number as usize])
+        self.numbers.get(&region).map(|&n| &self.regions[n as usize].slots)
     }
 
     /// All blocks, by slot.
     #[inline]
-    pub(crate) fn blocks(&self) -> &[Block] {
+    pub(crate) fn blocks(&self) -> &Blocks {
         &self.blocks
     }
 
     /// All blocks, by slot.
     #[inline]
-    pub(crate) fn blocks_mut(&mut self) -> &mut [Block] {
+    pub(crate) fn blocks_mut(&mut self) -> &mut Blocks {
         &mut self.blocks
     }
 
@@ -329,9 +368,10 @@ impl VoxelMap {
     /// [`MapError`] if the configuration makes no sense.
     pub fn new(config: MapConfig) -> Result<Self, MapError> {
         config.validate()?;
+        let pool = Arc::default();
         Ok(Self {
             config,
-            shards: vec![Shard::default(); SHARDS],
+            shards: (0..SHARDS).map(|_| Shard::of(&pool)).collect(),
             integrations: 0,
         })
     }
@@ -411,8 +451,8 @@ impl VoxelMap {
     /// Bytes held by blocks and their table.
     pub fn memory_bytes(&self) -> usize {
         let shard = |s: &Shard| {
-            let table = s.regions.allocation_size() + s.slots.len() * size_of_val(&[NO_SLOT; REGION_BLOCKS]);
-            s.blocks.len() * (size_of::<Block>() + 16) + table
+            let table = s.numbers.allocation_size() + s.regions.len() * size_of::<Region>();
+            s.blocks.memory_bytes() + s.indices.len() * size_of::<BlockIndex>() + table
         };
         self.shards.iter().map(shard).sum()
     }
@@ -490,7 +530,9 @@ mod tests {
     fn blocks_are_put_in_once_and_only_with_sums_that_observations_have() {
         let mut map = VoxelMap::new(MapConfig::default()).unwrap();
         let with = |weight_sum, distance_sum| {
-            let mut block = Block::EMPTY;
+            let mut block = Block {
+                voxels: [Voxel::default(); BLOCK_VOXELS],
+            };
             block.voxels[77] = Voxel {
                 weight_sum,
                 distance_sum,

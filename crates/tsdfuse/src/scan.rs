@@ -185,6 +185,13 @@ impl Scan {
             let secs = self.times.as_ref().and_then(|times| times.get(i));
             secs.is_some_and(|secs| !secs.is_finite())
         };
+        let is_valid = |p: &Vec3| {
+            let r2 = p.length_squared();
+            r2 > 0.0 && r2 >= near && r2 <= far && r2.is_finite()
+        };
+        if self.points.iter().all(is_valid) && (0..self.points.len()).all(|i| !is_untimed(i)) {
+            return;
+        }
         let keep: Vec<bool> = self
             .points
             .iter()

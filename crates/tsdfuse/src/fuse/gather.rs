@@ -26,7 +26,7 @@ use rustc_hash::FxBuildHasher;
 use super::{Integration, Skipped};
 use crate::{
     index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex, ROUND},
-    map::{Block, SHARDS, Shard, VoxelMap, WEIGHT_SCALE, fixed, shard_of},
+    map::{Block, SHARDS, Shard, VoxelMap, WEIGHT_SCALE, fixed, in_region, shard_of},
 };
 
 /// Voxels in a row.
@@ -478,7 +478,9 @@ impl Writer {
                 updates.rows = 0;
                 return;
             }
-            let slot = shard.slot_to_update(block, self.stamp, &mut touched);
+            let (region, number) = in_region(block);
+            let region = shard.region_to_update(region, self.stamp);
+            let slot = shard.slot_to_update(region, number, &mut touched);
             let block = &mut shard.blocks_mut()[slot as usize];
             if dispatch!(self.level, _ => updates.move_to(block, self.limit)) {
                 shard.limit_weights(slot, self.limit);

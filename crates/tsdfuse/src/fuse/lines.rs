@@ -27,9 +27,7 @@ use std::time::Instant;
 
 use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, prelude::*, u32x8};
 use glam::{IVec3, Vec3};
-use hashbrown::HashMap;
 use rayon::prelude::*;
-use rustc_hash::FxBuildHasher;
 
 use super::{
     Integration,
@@ -38,7 +36,7 @@ use super::{
 };
 use crate::{
     index::{BLOCK_VOXELS, BlockIndex, GridPoint, ROUND, round},
-    map::{REGION_BITS, REGION_BLOCKS, REGION_SHIFT, SHARDS, Shard, VoxelMap, block_of_region, shard_of_region},
+    map::{NO_SLOT, REGION_BITS, REGION_BLOCKS, REGION_SHIFT, SHARDS, Shard, VoxelMap, shard_of_region},
     memory::prefetch,
 };
 
@@ -85,6 +83,18 @@ impl Shape {
             }
     }
 
+    /// [`Self::reach`] along all axes, or a little more, which takes no roots.
+    #[inline(always)]
+    fn half_box(self, axis: Vec3, truncation: f32) -> Vec3 {
+        let reach = axis.abs() * truncation + VOXEL_RADIUS;
+        SLACK
+            + if self == Self::Cylinder {
+                reach
+            } else {
+                reach.min(Vec3::splat(truncation))
+            }
+    }
+
     /// How many voxels side by side along axis `u`, in a plane across the dominant axis, the line may have: two or three.
     #[inline(always)]
     fn wide(self, [axis_m, axis_u, axis_w]: [f32; 3]) -> usize {
@@ -98,6 +108,19 @@ impl Shape {
     }
 }
 
+/// The voxels beside a line in a plane, two or three wide along one axis and along the other: in one list, since the end of a
+/// loop in a loop is guessed wrong more often.
+const BESIDE: [[&[[usize; 2]]; 2]; 2] = [
+    [
+        &[[0, 0], [1, 0], [0, 1], [1, 1]],
+        &[[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]],
+    ],
+    [
+        &[[0, 0], [1, 0], [0, 1], [1, 1], [0, 2], [1, 2]],
+        &[[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1], [0, 2], [1, 2], [2, 2]],
+    ],
+];
+
 /// Voxels along the edge of a region.
 const REGION_EDGE: i32 = 1 << REGION_SHIFT;
 
@@ -110,18 +133,12 @@ pub(crate) struct Lines {
     /// The vector instructions of this CPU.
     level: Level,
     lanes: Vec<Lane>,
-    shards: Vec<Slots>,
 }
-
-/// For each region of a shard, where its blocks are: slots in the shard, or [`CLOSED`].
-type Slots = HashMap<IVec3, [u32; REGION_BLOCKS], FxBuildHasher>;
-
-/// Of a block that this scan has not updated so far.
-const CLOSED: u32 = u32::MAX;
 
 /// The lines of one piece of a scan.
 #[derive(Debug, Default)]
 struct Lane {
+    lines: Vec<Line>,
     buckets: Vec<Bucket>,
     /// The region of the last line, and its shard.
     last: Option<(IVec3, usize)>,
@@ -131,8 +148,9 @@ struct Lane {
 /// What a lane has for one shard.
 #[derive(Debug, Default)]
 struct Bucket {
-    lines: Vec<Line>,
-    /// Regions, and where the lines end that may reach into them.
+    /// The numbers of lines, one region after the other.
+    numbers: Vec<u32>,
+    /// Regions, and where the numbers end of lines that may reach into them.
     runs: Vec<(IVec3, usize)>,
 }
 
@@ -153,7 +171,6 @@ impl Lines {
         Self {
             level,
             lanes: (0..LANES).map(lane).collect(),
-            shards: vec![Slots::default(); SHARDS],
         }
     }
 
@@ -176,38 +193,37 @@ impl Lines {
                 let line = make(i as usize);
                 lane.counts.count(line.map(|_| ()));
                 if let Ok(line) = line {
-                    lane.push(line, R::SHAPE, truncation);
+                    lane.push(&line, R::SHAPE, truncation);
+                    lane.lines.push(line);
                 }
             });
         });
         let find_secs = start.elapsed().as_secs_f64();
         let lanes = &self.lanes;
-        let shards = map.shards.par_iter_mut().zip(&mut self.shards).enumerate();
+        let shards = map.shards.par_iter_mut().enumerate();
         let touched: Vec<Vec<BlockIndex>> = shards
-            .map(|(s, (shard, slots))| {
-                slots.clear();
+            .map(|(s, shard)| {
                 let mut writer = Writer {
                     shard,
                     touched: Vec::new(),
-                    stamp,
+                    slots: [NO_SLOT; REGION_BLOCKS],
                     limit,
                     queue: Queue::NEW,
                 };
-                let buckets = lanes.iter().map(|lane| &lane.buckets[s]);
-                let runs = buckets.flat_map(|b| {
-                    let starts = std::iter::once(0).chain(b.runs.iter().map(|run| run.1));
-                    b.runs
-                        .iter()
-                        .zip(starts)
-                        .map(|(run, start)| (run.0, &b.lines[start..run.1]))
+                let runs = lanes.iter().flat_map(|lane| {
+                    let Bucket { numbers, runs } = &lane.buckets[s];
+                    let starts = std::iter::once(0).chain(runs.iter().map(|run| run.1));
+                    let run = |(run, start): (&(IVec3, usize), usize)| (run.0, &lane.lines, &numbers[start..run.1]);
+                    runs.iter().zip(starts).map(run)
                 });
-                for (index, lines) in runs {
-                    let slots = slots.entry(index).or_insert([CLOSED; REGION_BLOCKS]);
-                    let mut region = Region { index, slots };
-                    dispatch!(level, simd => for line in lines {
-                        update(simd, line, truncation, rule, &mut region, &mut writer);
+                for (index, lines, numbers) in runs {
+                    let number = writer.shard.region_to_update(index, stamp);
+                    let region = Region { index, number };
+                    writer.slots.fill(NO_SLOT);
+                    dispatch!(level, simd => for &number in numbers {
+                        update(simd, &lines[number as usize], truncation, rule, region, &mut writer);
                     });
-                    writer.ask(&mut region);
+                    writer.ask(region);
                 }
                 writer.write();
                 writer.touched
@@ -220,34 +236,30 @@ impl Lines {
 impl Lane {
     fn clear(&mut self) {
         for bucket in &mut self.buckets {
-            bucket.lines.clear();
+            bucket.numbers.clear();
             bucket.runs.clear();
         }
+        self.lines.clear();
         self.counts = Counts::default();
     }
 
-    /// Puts a line to each region that it may reach into.
+    /// Puts the line that comes next to each region that it may reach into.
     #[inline(always)]
-    fn push(&mut self, line: Line, shape: Shape, truncation: f32) {
+    fn push(&mut self, line: &Line, shape: Shape, truncation: f32) {
         let GridPoint { voxel, fraction } = line.center;
-        let [x, y, z] = line.axis.to_array();
-        let half_box = Vec3::new(
-            shape.reach(x, truncation),
-            shape.reach(y, truncation),
-            shape.reach(z, truncation),
-        );
+        let half_box = shape.half_box(line.axis, truncation);
         let (low, high) = (fraction - half_box, fraction + half_box - 1.0);
         let first = (voxel + IVec3::new(round(low.x), round(low.y), round(low.z))) >> REGION_SHIFT;
         let last = (voxel + IVec3::new(round(high.x), round(high.y), round(high.z))) >> REGION_SHIFT;
         if first == last {
-            self.push_to(first, line);
+            self.push_to(first);
         } else {
             self.push_to_each(first, last, line, truncation);
         }
     }
 
     #[inline(never)]
-    fn push_to_each(&mut self, first: IVec3, last: IVec3, line: Line, truncation: f32) {
+    fn push_to_each(&mut self, first: IVec3, last: IVec3, line: &Line, truncation: f32) {
         let far = 0.5 * 3.0_f32.sqrt() * REGION_EDGE as f32 + VOXEL_RADIUS + SLACK;
         for z in first.z..=last.z {
             for y in first.y..=last.y {
@@ -257,7 +269,7 @@ impl Lane {
                     let middle = middle.as_vec3() - line.center.fraction;
                     let along = middle.dot(line.axis);
                     if along.abs() <= far + truncation && (middle - along * line.axis).length() <= far {
-                        self.push_to(region, line);
+                        self.push_to(region);
                     }
                 }
             }
@@ -265,15 +277,15 @@ impl Lane {
     }
 
     #[inline(always)]
-    fn push_to(&mut self, region: IVec3, line: Line) {
+    fn push_to(&mut self, region: IVec3) {
         let shard = match self.last {
             Some((last, shard)) if last == region => shard,
             _ => shard_of_region(region),
         };
         self.last = Some((region, shard));
         let bucket = &mut self.buckets[shard];
-        bucket.lines.push(line);
-        let end = bucket.lines.len();
+        bucket.numbers.push(self.lines.len() as u32);
+        let end = bucket.numbers.len();
         match bucket.runs.last_mut() {
             Some(last) if last.0 == region => last.1 = end,
             _ => bucket.runs.push((region, end)),
@@ -285,7 +297,8 @@ impl Lane {
 struct Writer<'a> {
     shard: &'a mut Shard,
     touched: Vec<BlockIndex>,
-    stamp: u32,
+    /// Of the blocks of the region that is being updated, as far as they are known.
+    slots: [u32; REGION_BLOCKS],
     limit: u32,
     queue: Queue,
 }
@@ -310,10 +323,11 @@ const BURST: usize = 96;
 /// The most voxels that are found at a time: eight planes of 3 × 3.
 const FOUND: usize = 72;
 
-/// A region of the shard, and where its blocks are.
-struct Region<'a> {
+/// A region of the shard, and its number there.
+#[derive(Clone, Copy)]
+struct Region {
     index: IVec3,
-    slots: &'a mut [u32; REGION_BLOCKS],
+    number: usize,
 }
 
 impl Queue {
@@ -341,8 +355,8 @@ impl Queue {
 impl Writer<'_> {
     /// Asks for the memory of what was found in a region.
     #[inline(never)]
-    fn ask(&mut self, region: &mut Region<'_>) {
-        let mut blocks = self.shard.blocks_mut();
+    fn ask(&mut self, region: Region) {
+        let mut blocks = self.shard.blocks();
         let Queue {
             places, found, asked, ..
         } = &mut self.queue;
@@ -351,11 +365,10 @@ impl Writer<'_> {
                 *place as usize / BLOCK_VOXELS % REGION_BLOCKS,
                 *place as usize % BLOCK_VOXELS,
             );
-            let slot = &mut region.slots[block];
-            if *slot as usize >= blocks.len() {
-                let index = block_of_region(region.index, block);
-                *slot = open(self.shard, index, self.stamp, &mut self.touched);
-                blocks = self.shard.blocks_mut();
+            let slot = &mut self.slots[block];
+            if *slot == NO_SLOT {
+                *slot = self.shard.slot_to_update(region.number, block, &mut self.touched);
+                blocks = self.shard.blocks();
             }
             prefetch(&blocks[*slot as usize].voxels[voxel]);
             *place = *slot << 9 | voxel as u32;
@@ -382,23 +395,9 @@ impl Writer<'_> {
     }
 }
 
-/// The slot of a block that now gets its first update of this scan.
-#[cold]
-#[inline(never)]
-fn open(shard: &mut Shard, index: BlockIndex, stamp: u32, touched: &mut Vec<BlockIndex>) -> u32 {
-    shard.slot_to_update(index, stamp, touched)
-}
-
 /// Updates the voxels of a line within a region.
 #[inline(always)]
-fn update<S: Simd, R: Rule>(
-    simd: S,
-    line: &Line,
-    truncation: f32,
-    rule: &R,
-    region: &mut Region<'_>,
-    writer: &mut Writer<'_>,
-) {
+fn update<S: Simd, R: Rule>(simd: S, line: &Line, truncation: f32, rule: &R, region: Region, writer: &mut Writer<'_>) {
     let a = line.axis.abs();
     if a.x >= a.y && a.x >= a.z {
         update_along::<S, R, 0, 1, 2>(simd, line, truncation, rule, region, writer);
@@ -416,7 +415,7 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
     line: &Line,
     truncation: f32,
     rule: &R,
-    region: &mut Region<'_>,
+    region: Region,
     writer: &mut Writer<'_>,
 ) {
     let (axis, fraction) = (line.axis.to_array(), line.center.fraction.to_array());
@@ -426,6 +425,7 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
 
     let wide_u = R::SHAPE.wide([axis[M], axis[U], axis[W]]);
     let wide_w = R::SHAPE.wide([axis[M], axis[W], axis[U]]);
+    let beside = BESIDE[wide_w - 2][wide_u - 2];
     let reach = R::SHAPE.reach(axis[M], truncation);
     let mut plane = round(fraction[M] - reach).max(-center[M]);
     let last = round(fraction[M] + reach - 1.0).min(REGION_EDGE - 1 - center[M]);
@@ -441,35 +441,38 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
             Places::<S, U>::of(u + 1.0, fraction[U], axis[U], center[U]),
             Places::<S, U>::of(u + 2.0, fraction[U], axis[U], center[U]),
         ];
+        let w = [
+            Places::<S, W>::of(w, fraction[W], axis[W], center[W]),
+            Places::<S, W>::of(w + 1.0, fraction[W], axis[W], center[W]),
+            Places::<S, W>::of(w + 2.0, fraction[W], axis[W], center[W]),
+        ];
 
         if writer.queue.found - writer.queue.asked > BURST {
             writer.ask(region);
         }
-        for j in 0..wide_w {
-            let w = Places::<S, W>::of(w + j as f32, fraction[W], axis[W], center[W]);
-            for u in &u[..wide_u] {
-                let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
-                    let mut of = [m; 3];
-                    (of[U], of[W]) = (u, w);
-                    of
-                };
-                let [x, y, z] = xyz(m.offset, u.offset, w.offset);
-                let [along_x, along_y, along_z] = xyz(m.along, u.along, w.along);
-                let [x2, y2, z2] = xyz(m.square, u.square, w.square);
-                let voxels = Row {
-                    x,
-                    y,
-                    z,
-                    along: along_x + (along_y + along_z),
-                    distance2: x2 + (y2 + z2),
-                };
-                let (inside, distance, weight) = rule_of_line(&voxels);
-                let (weight, distance) = fixed_row(distance, weight);
-                let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
-                let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
-                let address = m.address | u.address | w.address;
-                writer.queue.push(updated, address, weight, distance);
-            }
+        for &[j, i] in beside {
+            let (u, w) = (&u[j], &w[i]);
+            let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
+                let mut of = [m; 3];
+                (of[U], of[W]) = (u, w);
+                of
+            };
+            let [x, y, z] = xyz(m.offset, u.offset, w.offset);
+            let [along_x, along_y, along_z] = xyz(m.along, u.along, w.along);
+            let [x2, y2, z2] = xyz(m.square, u.square, w.square);
+            let voxels = Row {
+                x,
+                y,
+                z,
+                along: along_x + (along_y + along_z),
+                distance2: x2 + (y2 + z2),
+            };
+            let (inside, distance, weight) = rule_of_line(&voxels);
+            let (weight, distance) = fixed_row(distance, weight);
+            let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
+            let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
+            let address = m.address | u.address | w.address;
+            writer.queue.push(updated, address, weight, distance);
         }
         plane += 8;
     }

@@ -94,7 +94,10 @@ pub(crate) struct PerBlock<T> {
 impl<T: Send> PerBlock<T> {
     /// Asks all blocks of a map.
     pub(crate) fn of_all(map: &VoxelMap, of: impl Fn(&Block) -> T + Sync) -> Self {
-        let shard = |shard: &Shard| shard.blocks().par_iter().map(&of).collect();
+        let shard = |shard: &Shard| {
+            let slots = (0..shard.blocks().len()).into_par_iter();
+            slots.map(|slot| of(&shard.blocks()[slot])).collect()
+        };
         Self {
             shards: map.shards.par_iter().map(shard).collect(),
         }
