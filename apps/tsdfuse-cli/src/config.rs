@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
-use tsdfuse::fuse::{CaminalConfig, FuseConfig, Method, RaycastConfig, RoldaoConfig};
+use tsdfuse::fuse::{CaminalConfig, FuseConfig, Method, PatchConfig, RaycastConfig, RoldaoConfig};
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
@@ -37,6 +37,8 @@ pub(crate) struct RunConfig {
     pub(crate) caminal: CaminalConfig,
     /// Options of the method `roldao`.
     pub(crate) roldao: RoldaoConfig,
+    /// Options of the method `patch`.
+    pub(crate) patch: PatchConfig,
     /// What becomes surface.
     pub(crate) mesh: MeshConfig,
 }
@@ -50,6 +52,7 @@ impl RunConfig {
             surfel: self.surfel,
             caminal: self.caminal,
             roldao: self.roldao,
+            patch: self.patch,
         }
     }
 

@@ -31,6 +31,7 @@ pub(crate) fn style(row: &Row) -> ([u8; 3], bool) {
         Method::Depth => [86, 180, 233],
         Method::Caminal => [140, 109, 49],
         Method::Roldao => [127, 63, 191],
+        Method::Patch => [0, 140, 130],
     };
     (color, !row.form.settings.is_empty())
 }

@@ -14,6 +14,7 @@ mod gather;
 mod kuehner;
 mod lines;
 mod normals;
+mod patch;
 mod pierced;
 mod placed;
 mod raycast;
@@ -27,6 +28,7 @@ pub use cylindrical::Cylindrical;
 pub use depth::Depth;
 pub use kuehner::Kuehner;
 pub use normals::Normals;
+pub use patch::{PatchConfig, Patches};
 pub use raycast::{Distance, Raycast, RaycastConfig};
 pub use roldao::{Roldao, RoldaoConfig, RoldaoForm};
 pub use surfel::Surfels;
@@ -57,6 +59,8 @@ pub enum Method {
     Caminal,
     /// [`Roldao`].
     Roldao,
+    /// [`Patches`].
+    Patch,
 }
 
 /// The options of all methods.
@@ -73,6 +77,8 @@ pub struct FuseConfig {
     pub caminal: CaminalConfig,
     /// Options of [`Roldao`].
     pub roldao: RoldaoConfig,
+    /// Options of [`Patches`].
+    pub patch: PatchConfig,
 }
 
 impl FuseConfig {
@@ -99,6 +105,7 @@ impl Method {
         Self::Depth,
         Self::Caminal,
         Self::Roldao,
+        Self::Patch,
     ];
 
     /// The name on the command line.
@@ -112,6 +119,7 @@ impl Method {
             Self::Depth => "depth",
             Self::Caminal => "caminal",
             Self::Roldao => "roldao",
+            Self::Patch => "patch",
         }
     }
 
@@ -127,6 +135,7 @@ impl Method {
             Self::Depth => Box::<Depth>::default(),
             Self::Caminal => Box::new(Caminal::new(config.caminal, sensor.cloned())),
             Self::Roldao => Box::new(Roldao::new(config.roldao)),
+            Self::Patch => Box::new(Patches::new(config.patch, sensor.cloned())),
         }
     }
 }
