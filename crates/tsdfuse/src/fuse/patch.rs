@@ -45,6 +45,14 @@ pub struct PatchConfig {
     pub residual: f32,
     /// Behind fall-off start, in voxels.
     pub behind_vox: f32,
+    /// How far behind the surface voxels are updated.
+    pub depth_vox: f32,
+    /// Step of interpolated lines, voxels.
+    pub step_vox: f32,
+    /// Weight of interpolated ones.
+    pub fill_weight: f32,
+    /// Radius of lines, in voxels.
+    pub radius_vox: f32,
 }
 
 impl Default for PatchConfig {
@@ -52,13 +60,17 @@ impl Default for PatchConfig {
         Self {
             window_m: 0.12,
             noise_m: 0.02,
-            reach_vox: 2.5,
+            reach_vox: 2.0,
             ray_weight: 0.3,
             min_sine: 0.03,
-            max_gap_m: 0.0,
+            max_gap_m: 1.0,
             incidence: 1.0,
             residual: 1.5,
-            behind_vox: 1.5,
+            behind_vox: 1.0,
+            depth_vox: 1.75,
+            step_vox: 1.2,
+            fill_weight: 0.5,
+            radius_vox: 0.866,
         }
     }
 }
@@ -72,6 +84,7 @@ pub struct Patches {
     image: ScanImage,
     sums: Sums,
     patches: Vec<Patch>,
+    fills: Vec<Patch>,
     lines: Lines,
 }
 
@@ -107,9 +120,26 @@ impl Integrator for Patches {
             .with_min_len(1024)
             .map(|i| patch(i, &config, placed, image, sums, column_rad).unwrap_or_default())
             .collect_into_vec(&mut self.patches);
+        let voxel_m = map.config().voxel_size_m as f32;
+        let patches = &self.patches;
+        self.fills.clear();
+        if config.max_gap_m > 0.0 {
+            self.fills.par_extend((0..placed.len()).into_par_iter().with_min_len(1024).flat_map_iter(|i| {
+                let own = patches[i];
+                let place = image.place_of(i).filter(|_| own.weight > 0.0);
+                let mut out = Vec::new();
+                if let Some((ring, column)) = place {
+                    let next = if column + 1 == image.columns() { 0 } else { column + 1 };
+                    for other in [image.get(ring + 1, column), image.get(ring, next)].into_iter().flatten() {
+                        fill(&own, &patches[other], voxel_m, &config, &mut out);
+                    }
+                }
+                out
+            }));
+        }
         if std::env::var("PATCH_STATS").is_ok() {
             let n = self.patches.iter().filter(|p| p.weight > 0.0).count();
-            eprintln!("patches {n} of {}", self.patches.len());
+            eprintln!("patches {n} of {}, fills {}", self.patches.len(), self.fills.len());
         }
         let prepare_secs = start.elapsed().as_secs_f64();
         let truncation = map.config().truncation_vox();
@@ -130,8 +160,29 @@ impl Integrator for Patches {
                 }
                 Err(Skip::WithoutNormal)
             },
-            &AlongPatch { truncation, reach, behind: config.behind_vox },
+            &AlongPatch { truncation, reach, depth: config.depth_vox, behind: config.behind_vox, radius: config.radius_vox },
         );
+        if !self.fills.is_empty() {
+            let fills = &self.fills;
+            let order: Vec<u32> = (0..fills.len() as u32).collect();
+            let filled = self.lines.run(
+                map,
+                &order,
+                #[inline(always)]
+                |i| {
+                    let p = fills[i];
+                    let range_m = p.center.length();
+                    let by_range = (1.0 / range_m).min(1.0);
+                    let center = placed.anchor().and_then(|a| a.locate(p.center)).ok_or(Skip::OutsideGrid)?;
+                    let sine = (-p.center.dot(p.normal) / range_m).max(0.0);
+                    Ok(Line { center, axis: p.normal, weight: by_range * config.fill_weight * sine.powf(config.incidence) })
+                },
+                &AlongPatch { truncation, reach, depth: config.depth_vox, behind: config.behind_vox, radius: config.radius_vox },
+            );
+            done.updated_blocks.extend(filled.updated_blocks);
+            done.updated_blocks.sort_unstable();
+            done.updated_blocks.dedup();
+        }
         if config.ray_weight > 0.0 {
             let rays = self.lines.run(
                 map,
@@ -144,7 +195,7 @@ impl Integrator for Patches {
                     }
                     Ok(Line { center: ray.end, axis: ray.direction, weight: config.ray_weight * (1.0 / ray.range_m).min(1.0) })
                 },
-                &AlongRay { truncation, reach, behind: config.behind_vox },
+                &AlongRay { truncation, reach, depth: config.depth_vox, behind: config.behind_vox },
             );
             done.updated_blocks.extend(rays.updated_blocks);
             done.updated_blocks.sort_unstable();
@@ -160,7 +211,9 @@ impl Integrator for Patches {
 struct AlongPatch {
     truncation: f32,
     reach: f32,
+    depth: f32,
     behind: f32,
+    radius: f32,
 }
 
 impl Rule for AlongPatch {
@@ -169,11 +222,12 @@ impl Rule for AlongPatch {
     #[inline(always)]
     fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let (reach, inverse, weight) = (self.reach, 1.0 / self.truncation, line.weight);
-        let slope = 1.0 / (reach + 0.5 - self.behind.min(reach));
+        let (depth, radius) = (self.depth, self.radius);
+        let slope = 1.0 / (depth + 0.5 - self.behind.min(depth));
         #[inline(always)]
         move |v| {
-            let behind = ((reach + 0.5 + v.along) * slope).max(0.0).min(1.0);
-            (v.within(VOXEL_RADIUS, reach), v.along * inverse, behind * weight)
+            let behind = ((depth + 0.5 + v.along) * slope).max(0.0).min(1.0);
+            (v.within(radius, reach) & v.along.simd_ge(-depth), v.along * inverse, behind * weight)
         }
     }
 }
@@ -181,6 +235,7 @@ impl Rule for AlongPatch {
 struct AlongRay {
     truncation: f32,
     reach: f32,
+    depth: f32,
     behind: f32,
 }
 
@@ -190,13 +245,14 @@ impl Rule for AlongRay {
     #[inline(always)]
     fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let (reach, inverse) = (self.reach, 1.0 / self.truncation);
-        let slope = 1.0 / (reach + 0.5 - self.behind.min(reach));
+        let depth = self.depth;
+        let slope = 1.0 / (depth + 0.5 - self.behind.min(depth));
         let (axis, weight) = (line.axis, line.weight);
         #[inline(always)]
         move |v| {
-            let inside = pierced(axis, v) & v.distance2.simd_le(reach * reach);
+            let inside = pierced(axis, v) & v.distance2.simd_le(reach * reach) & v.along.simd_le(depth);
             let beside = 1.0 - (v.distance2 - v.along * v.along) * (1.0 / (VOXEL_RADIUS * VOXEL_RADIUS));
-            let behind = ((reach + 0.5 - v.along) * slope).max(0.0).min(1.0);
+            let behind = ((depth + 0.5 - v.along) * slope).max(0.0).min(1.0);
             (inside, -v.along * inverse, beside * weight * (behind * behind))
         }
     }
@@ -331,4 +387,24 @@ fn patch(i: usize, config: &PatchConfig, placed: &Placed, image: &ScanImage, sum
         }
     }
     best.map(|(_, patch)| patch)
+}
+
+fn fill(a: &Patch, b: &Patch, voxel_m: f32, config: &PatchConfig, out: &mut Vec<Patch>) {
+    if b.weight == 0.0 {
+        return;
+    }
+    let step = b.center - a.center;
+    let gap = step.length();
+    if gap > config.max_gap_m || gap < config.step_vox * voxel_m || a.normal.dot(b.normal) < 0.9 {
+        return;
+    }
+    let tolerance = 2.0 * config.noise_m;
+    if a.normal.dot(step).abs() > tolerance || b.normal.dot(step).abs() > tolerance {
+        return;
+    }
+    let count = (gap / (config.step_vox * voxel_m)).ceil();
+    for k in 1..count as usize {
+        let t = k as f32 / count;
+        out.push(Patch { center: a.center + step * t, normal: a.normal.lerp(b.normal, t).normalize(), weight: 1.0 });
+    }
 }
