@@ -28,10 +28,12 @@
 mod eigen;
 pub mod fuse;
 pub mod index;
+mod lanes;
 pub mod map;
 mod memory;
 pub mod mesh;
 pub mod normals;
+mod patch;
 pub mod pose;
 pub mod render;
 pub mod scan;

@@ -28,7 +28,7 @@ pub use cylindrical::Cylindrical;
 pub use depth::Depth;
 pub use kuehner::Kuehner;
 pub use normals::Normals;
-pub use patch::{PatchConfig, Patches};
+pub use patch::{PatchConfig, Patch};
 pub use raycast::{Distance, Raycast, RaycastConfig};
 pub use roldao::{Roldao, RoldaoConfig, RoldaoForm};
 pub use surfel::Surfels;
@@ -59,7 +59,7 @@ pub enum Method {
     Caminal,
     /// [`Roldao`].
     Roldao,
-    /// [`Patches`].
+    /// [`Patch`].
     Patch,
 }
 
@@ -77,7 +77,7 @@ pub struct FuseConfig {
     pub caminal: CaminalConfig,
     /// Options of [`Roldao`].
     pub roldao: RoldaoConfig,
-    /// Options of [`Patches`].
+    /// Options of [`Patch`].
     pub patch: PatchConfig,
 }
 
@@ -135,7 +135,7 @@ impl Method {
             Self::Depth => Box::<Depth>::default(),
             Self::Caminal => Box::new(Caminal::new(config.caminal, sensor.cloned())),
             Self::Roldao => Box::new(Roldao::new(config.roldao)),
-            Self::Patch => Box::new(Patches::new(config.patch, sensor.cloned())),
+            Self::Patch => Box::new(Patch::new(config.patch, sensor.cloned())),
         }
     }
 }

@@ -77,7 +77,7 @@ impl Integrator for Normals {
         let (placed, normals) = (&self.placed, &self.normals);
         let integration = self.lines.run(
             map,
-            &placed.order,
+            &placed.order.numbers,
             #[inline(always)]
             |i| {
                 let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;

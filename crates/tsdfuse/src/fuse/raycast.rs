@@ -78,14 +78,14 @@ impl Integrator for Raycast {
         let integration = match self.config.distance {
             Distance::Euclidean => lines.run(
                 map,
-                &placed.order,
+                &placed.order.numbers,
                 #[inline(always)]
                 |i| along(placed, i),
                 &Euclidean { truncation },
             ),
             Distance::Projective => lines.run(
                 map,
-                &placed.order,
+                &placed.order.numbers,
                 #[inline(always)]
                 |i| along(placed, i),
                 &Projective { truncation },

@@ -4,7 +4,7 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 
-use super::lanes::{Floats, LANES, Mask, Vectors, lanes, select};
+use crate::lanes::{Floats, LANES, Mask, Vectors, lanes, select};
 use super::{CANCELLED, Cloud, Normal};
 use crate::sensor::approx::acos_f32;
 

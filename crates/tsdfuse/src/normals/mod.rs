@@ -15,7 +15,6 @@
 
 mod adjacent;
 mod holz;
-mod lanes;
 #[cfg(test)]
 mod oracle;
 

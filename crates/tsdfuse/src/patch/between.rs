@@ -1,0 +1,66 @@
+//! Patches between neighbouring returns of one surface, so that a surface is closed where beams are farther apart than voxels.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{Limits, Patch};
+use crate::sensor::ScanImage;
+
+/// Patches whose normals are at most this far apart may be of one surface: a cosine, of 26°.
+const MIN_DOT: f32 = 0.9;
+
+/// Each of the two lies on the plane of the other, up to this many standard deviations of ranges.
+const MAX_OFF: f32 = 2.0;
+
+/// Returns that one thread takes at a time.
+const PART: usize = 8192;
+
+/// Appends patches between those of neighbouring returns (next ring, next column), at most `step_m` apart, where the gap is no
+/// wider than `max_gap_m`.
+pub(super) fn fill(image: &ScanImage, limits: &Limits, all: &mut Vec<Patch>) {
+    let count = all.len();
+    let parts: Vec<Vec<Patch>> = (0..count.div_ceil(PART))
+        .into_par_iter()
+        .map(|part| {
+            let mut between = Vec::new();
+            for i in part * PART..((part + 1) * PART).min(count) {
+                let Some((ring, column)) = image.place_of(i).filter(|_| all[i].is_some()) else {
+                    continue;
+                };
+                let next = if column + 1 == image.columns() { 0 } else { column + 1 };
+                for other in [image.get(ring + 1, column), image.get(ring, next)].into_iter().flatten() {
+                    connect(&all[i], &all[other], limits, &mut between);
+                }
+            }
+            between
+        })
+        .collect();
+    parts.iter().for_each(|part| all.extend_from_slice(part));
+}
+
+/// Adds what lies between two patches, if they are of one surface.
+#[inline(always)]
+fn connect(a: &Patch, b: &Patch, limits: &Limits, between: &mut Vec<Patch>) {
+    let apart = b.center - a.center;
+    let gap = apart.length();
+    let far = gap < limits.step_m || gap > limits.max_gap_m;
+    if far || !b.is_some() || a.normal.dot(b.normal) < MIN_DOT {
+        return;
+    }
+    let off = a.normal.dot(apart).abs().max(b.normal.dot(apart).abs());
+    if off > MAX_OFF * limits.noise_m {
+        return;
+    }
+    let steps = (gap / limits.step_m).ceil();
+    for k in 1..steps as usize {
+        let t = k as f32 / steps;
+        between.push(Patch {
+            center: a.center + apart * t,
+            normal: lerp(a.normal, b.normal, t),
+        });
+    }
+}
+
+fn lerp(a: Vec3, b: Vec3, t: f32) -> Vec3 {
+    (a + (b - a) * t).normalize_or_zero()
+}

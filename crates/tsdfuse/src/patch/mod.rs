@@ -1,0 +1,278 @@
+//! Surface patches: the plane that each return of a scan lies on, from the returns around it in the organized image.
+
+mod between;
+mod plane;
+mod sums;
+
+use fearless_simd::{Level, dispatch};
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::{
+    lanes::LANES,
+    sensor::{NONE, ScanImage, SensorModel},
+};
+use plane::Moments;
+use sums::{MAX_COLUMNS, Window, WindowSums};
+
+/// The surface at a return, or between two.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Patch {
+    /// Where on the plane, in the axes of the points.
+    pub(crate) center: Vec3,
+    /// Unit vector towards the side of the sensor; zero where there is no plane.
+    pub(crate) normal: Vec3,
+}
+
+impl Patch {
+    /// Whether there is a plane.
+    pub(crate) fn is_some(&self) -> bool {
+        self.normal != Vec3::ZERO
+    }
+}
+
+/// What a plane must be like.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limits {
+    /// Half the edge of the windows, metres.
+    pub(crate) window_m: f32,
+    /// The standard deviation of ranges, metres.
+    pub(crate) noise_m: f32,
+    /// Neighbours farther apart than this get patches between them, at such distances, …
+    pub(crate) step_m: f32,
+    /// … if they are no farther apart than this.
+    pub(crate) max_gap_m: f32,
+}
+
+/// Returns are off their plane by at most this many standard deviations in the mean (root of the squares), …
+const MAX_RESIDUAL: f32 = 1.5;
+
+/// … and the return itself by this many.
+const MAX_OFF: f32 = 2.5;
+
+/// A plane takes returns that are spread twice as far along it, in its narrower direction, as they are off it.
+const MIN_SPREAD: f32 = 2.0;
+
+/// The least sine of the angle between a ray and a plane.
+const MIN_SINE: f32 = 0.03;
+
+/// Fewer returns make no plane that could be told from their noise.
+const MIN_RETURNS: f32 = 5.0;
+
+/// Windows reach this many rings up and down at most.
+const MAX_RINGS: usize = 8;
+
+/// Returns that one thread takes at a time.
+const PART: usize = 2048;
+
+/// Finds the patches of a scan's returns. Reuse it from scan to scan: it keeps its buffers.
+#[derive(Debug, Default)]
+pub(crate) struct Patches {
+    sums: WindowSums,
+    /// By return; then those between returns.
+    pub(crate) all: Vec<Patch>,
+}
+
+impl Patches {
+    /// `points` are those that `image` was built from, in any axes, with the `origins` of their rays (all at zero if there are
+    /// none).
+    ///
+    /// A return's window reaches as far along rings and columns as [`Limits::window_m`] does at its range. If its returns do not
+    /// lie in a plane, halves and quarters of it are tried, so that planes end at edges: of those that are planes the one with
+    /// the smallest residual is taken.
+    pub(crate) fn update(
+        &mut self,
+        image: &ScanImage,
+        points: &[Vec3],
+        origins: &[Vec3],
+        sensor: &SensorModel,
+        limits: &Limits,
+    ) {
+        self.sums.update(image, points);
+        self.all.clear();
+        self.all.resize(points.len(), Patch::default());
+        let scan = Scan {
+            image,
+            points,
+            origins,
+            sums: &self.sums,
+            limits: *limits,
+            column_rad: sensor.column_width_rad() as f32,
+        };
+        let level = Level::new(); // the vector instructions of this CPU
+        let parts = self.all.par_chunks_mut(PART).enumerate();
+        parts.for_each_init(Vec::new, |rest, (part, out)| {
+            dispatch!(level, _ => scan.find(part * PART, out, rest));
+        });
+        between::fill(image, limits, &mut self.all);
+    }
+}
+
+/// All that a patch is made from.
+struct Scan<'a> {
+    image: &'a ScanImage,
+    points: &'a [Vec3],
+    origins: &'a [Vec3],
+    sums: &'a WindowSums,
+    limits: Limits,
+    column_rad: f32,
+}
+
+/// The patches of some windows, with their mean squared residual (infinite where there is none).
+struct Found {
+    patches: [Patch; LANES],
+    residual2: [f32; LANES],
+}
+
+impl Scan<'_> {
+    /// The patches of the returns from number `first` on; `rest` is a buffer.
+    #[inline(always)]
+    fn find(&self, first: usize, out: &mut [Patch], rest: &mut Vec<u32>) {
+        rest.clear();
+        let mut start = 0;
+        while start < out.len() {
+            let count = (out.len() - start).min(LANES);
+            let mut moments = Moments::NONE;
+            let mut of = [NONE; LANES];
+            for lane in 0..count {
+                let i = first + start + lane;
+                if let Some(around) = self.around(i) {
+                    of[lane] = i as u32;
+                    moments.set(lane, &self.sums.of(around.window(PARTS[0])), self.points[i]);
+                }
+            }
+            let found = self.judge(&moments, &of);
+            for lane in 0..count {
+                out[start + lane] = found.patches[lane];
+                if of[lane] != NONE && found.residual2[lane] == f32::INFINITY {
+                    rest.push(of[lane]);
+                }
+            }
+            start += LANES;
+        }
+        // Two returns at a time, each with eight parts of its window.
+        for pair in rest.chunks(2) {
+            let mut moments = Moments::NONE;
+            let mut of = [NONE; LANES];
+            for (k, &i) in pair.iter().enumerate() {
+                let Some(around) = self.around(i as usize) else { continue };
+                for (part, &reach) in PARTS[1..].iter().enumerate() {
+                    let lane = 8 * k + part;
+                    of[lane] = i;
+                    moments.set(lane, &self.sums.of(around.window(reach)), self.points[i as usize]);
+                }
+            }
+            let found = self.judge(&moments, &of);
+            for (k, &i) in pair.iter().enumerate() {
+                let mut best = 8 * k;
+                for lane in 8 * k + 1..8 * k + 8 {
+                    if found.residual2[lane] < found.residual2[best] {
+                        best = lane;
+                    }
+                }
+                out[i as usize - first] = found.patches[best];
+            }
+        }
+    }
+
+    /// The window about a return; `None` if it has no cell.
+    #[inline(always)]
+    fn around(&self, i: usize) -> Option<Around> {
+        let (ring, column) = self.image.place_of(i)?;
+        let range = self.ray(i).length();
+        let last = self.image.rings() - 1;
+        let gap = self.image.ring_gap_tangent(ring.min(last.saturating_sub(1)));
+        let cells = |angle: f32, most: usize| {
+            let cells = self.limits.window_m / (range * angle.max(1e-4));
+            ((cells + 0.5) as usize).clamp(1, most)
+        };
+        Some(Around {
+            ring,
+            column: column + MAX_COLUMNS,
+            rings: cells(gap, MAX_RINGS),
+            columns: cells(self.column_rad, MAX_COLUMNS),
+            last,
+        })
+    }
+
+    #[inline(always)]
+    fn ray(&self, i: usize) -> Vec3 {
+        self.points[i] - self.origins.get(i).copied().unwrap_or(Vec3::ZERO)
+    }
+
+    /// Which planes are surface that their return lies on.
+    #[inline(always)]
+    fn judge(&self, moments: &Moments, of: &[u32; LANES]) -> Found {
+        let planes = moments.planes();
+        let mut found = Found {
+            patches: [Patch::default(); LANES],
+            residual2: [f32::INFINITY; LANES],
+        };
+        let noise = self.limits.noise_m;
+        let limit = (MAX_RESIDUAL * noise) * (MAX_RESIDUAL * noise);
+        for lane in 0..LANES {
+            let residual2 = planes.residual2[lane];
+            let spread2 = planes.spread2[lane];
+            // Also false for NaN.
+            let is_plane = planes.count[lane] >= MIN_RETURNS
+                && residual2 <= limit
+                && spread2 >= MIN_SPREAD * MIN_SPREAD * residual2.max(0.25 * limit);
+            let Some(i) = Some(of[lane] as usize).filter(|_| of[lane] != NONE && is_plane) else {
+                continue;
+            };
+            let (ray, normal) = (self.ray(i), planes.normal.get(lane));
+            let facing = ray.dot(normal);
+            let off = normal.dot(planes.mean.get(lane));
+            if facing.abs() >= MIN_SINE * ray.length() && off.abs() <= MAX_OFF * noise {
+                found.patches[lane] = Patch {
+                    center: self.points[i] + normal * off,
+                    normal: if facing > 0.0 { -normal } else { normal },
+                };
+                found.residual2[lane] = residual2;
+            }
+        }
+        found
+    }
+}
+
+/// A window about a return's cell.
+struct Around {
+    ring: usize,
+    column: usize,
+    /// How far it reaches to each side.
+    rings: usize,
+    columns: usize,
+    /// The last ring that there is.
+    last: usize,
+}
+
+/// Whether a part of a window reaches to lower rings, to higher ones, to lower columns and to higher ones: all of it, halves,
+/// quarters.
+const PARTS: [[bool; 4]; 9] = [
+    [true, true, true, true],
+    [true, true, true, false],
+    [true, true, false, true],
+    [true, false, true, true],
+    [false, true, true, true],
+    [true, false, true, false],
+    [true, false, false, true],
+    [false, true, true, false],
+    [false, true, false, true],
+];
+
+impl Around {
+    #[inline(always)]
+    fn window(&self, [down, up, left, right]: [bool; 4]) -> Window {
+        let reach = |yes: bool, far: usize| if yes { far } else { 0 };
+        Window {
+            rings: [
+                self.ring.saturating_sub(reach(down, self.rings)),
+                (self.ring + reach(up, self.rings)).min(self.last),
+            ],
+            columns: [
+                self.column - reach(left, self.columns),
+                self.column + reach(right, self.columns),
+            ],
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! Planes through the returns of windows, sixteen windows side by side.
+
+use glam::{DVec3, Vec3};
+
+use super::sums::Sums;
+use crate::lanes::{Floats, LANES, Vectors, lanes};
+
+/// Planes of least squares: of the sums over points, the mean, the normal (the eigenvector of the covariance's least eigenvalue)
+/// and the eigenvalues.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Planes {
+    /// Of unit length; NaN if there is no plane.
+    pub(super) normal: Vectors,
+    /// Mean, from a point that is near.
+    pub(super) mean: Vectors,
+    /// Mean square of the distances to the plane, with three degrees of freedom less.
+    pub(super) residual2: Floats,
+    /// The middle eigenvalue: the mean square of how far points lie from the line through them.
+    pub(super) spread2: Floats,
+    pub(super) count: Floats,
+}
+
+/// What is known of points, for sixteen planes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Moments {
+    mean: Vectors,
+    /// Covariances xx, xy, xz, yy, yz, zz.
+    covariance: [Floats; 6],
+    count: Floats,
+}
+
+impl Moments {
+    pub(super) const NONE: Self = Self {
+        mean: Vectors::ZERO,
+        covariance: [[0.0; LANES]; 6],
+        count: [0.0; LANES],
+    };
+
+    /// Puts in sums; `near` is where means are told from.
+    #[inline(always)]
+    pub(super) fn set(&mut self, lane: usize, sums: &Sums, near: Vec3) {
+        let inverse = 1.0 / sums[0].max(1.0);
+        let mean = DVec3::new(sums[1], sums[2], sums[3]) * inverse;
+        let [x, y, z] = mean.to_array();
+        let products = [x * x, x * y, x * z, y * y, y * z, z * z];
+        for k in 0..6 {
+            self.covariance[k][lane] = (sums[4 + k] * inverse - products[k]) as f32;
+        }
+        self.mean.set(lane, (mean - near.as_dvec3()).as_vec3());
+        self.count[lane] = sums[0] as f32;
+    }
+
+    /// The planes.
+    ///
+    /// The least eigenvalue's vector is the greatest one's of the matrix of cofactors, which becomes a product n·nᵀ as it is
+    /// squared again and again; three times make 8th powers of eigenvalues, of which there is hardly another one left where
+    /// points lie in a plane.
+    #[inline(always)]
+    pub(super) fn planes(&self) -> Planes {
+        let [xx, xy, xz, yy, yz, zz] = self.covariance;
+        let cofactors = [
+            minor(yy, zz, yz, yz),
+            minor(xz, yz, xy, zz),
+            minor(xy, yz, xz, yy),
+            minor(xx, zz, xz, xz),
+            minor(xy, xz, xx, yz),
+            minor(xx, yy, xy, xy),
+        ];
+        let power = squared(squared(squared(cofactors)));
+        // The longest column: that of the greatest element on the diagonal.
+        let [pxx, pxy, pxz, pyy, pyz, pzz] = power;
+        let x = lanes(|l| pxx[l] >= pyy[l] && pxx[l] >= pzz[l]);
+        let y = lanes(|l| pyy[l] >= pzz[l]);
+        let pick = |a: Floats, b: Floats, c: Floats| {
+            lanes(|l| if x[l] { a[l] } else if y[l] { b[l] } else { c[l] })
+        };
+        let normal = Vectors {
+            x: pick(pxx, pxy, pxz),
+            y: pick(pxy, pyy, pyz),
+            z: pick(pxz, pyz, pzz),
+        };
+        let normal = normal.scale(normal.inverse_length());
+        let Vectors { x, y, z } = normal;
+        let least = lanes(|l| {
+            let of_x = xx[l] * x[l] + xy[l] * y[l] + xz[l] * z[l];
+            let of_y = xy[l] * x[l] + yy[l] * y[l] + yz[l] * z[l];
+            let of_z = xz[l] * x[l] + yz[l] * y[l] + zz[l] * z[l];
+            (of_x * x[l] + of_y * y[l] + of_z * z[l]).max(0.0)
+        });
+        // The two others have this sum and this product.
+        let sum = lanes(|l| xx[l] + yy[l] + zz[l] - least[l]);
+        let product = lanes(|l| cofactors[0][l] + cofactors[3][l] + cofactors[5][l] - least[l] * sum[l]);
+        let greater = lanes(|l| 0.5 * (sum[l] + (sum[l] * sum[l] - 4.0 * product[l]).max(0.0).sqrt()));
+        Planes {
+            normal,
+            mean: self.mean,
+            residual2: lanes(|l| least[l] * self.count[l] / (self.count[l] - 3.0)),
+            spread2: lanes(|l| product[l] / greater[l]),
+            count: self.count,
+        }
+    }
+}
+
+/// a·b − c·d.
+#[inline(always)]
+fn minor(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats {
+    lanes(|l| a[l] * b[l] - c[l] * d[l])
+}
+
+/// The square of a symmetric matrix, scaled to a trace of 1 before.
+#[inline(always)]
+fn squared([xx, xy, xz, yy, yz, zz]: [Floats; 6]) -> [Floats; 6] {
+    let scale = lanes(|l| 1.0 / (xx[l] + yy[l] + zz[l]));
+    let scaled = |m: Floats| lanes(|l| m[l] * scale[l]);
+    let (xx, xy, xz, yy, yz, zz) = (scaled(xx), scaled(xy), scaled(xz), scaled(yy), scaled(yz), scaled(zz));
+    let dot = |a: [Floats; 3], b: [Floats; 3]| lanes(|l| a[0][l] * b[0][l] + a[1][l] * b[1][l] + a[2][l] * b[2][l]);
+    let (x, y, z) = ([xx, xy, xz], [xy, yy, yz], [xz, yz, zz]);
+    [dot(x, x), dot(x, y), dot(x, z), dot(y, y), dot(y, z), dot(z, z)]
+}
