@@ -12,7 +12,7 @@ pub(crate) type Floats = [f32; LANES];
 pub(crate) type Mask = [bool; LANES];
 
 /// One vector per return.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Vectors {
     pub(crate) x: Floats,
     pub(crate) y: Floats,

@@ -49,8 +49,8 @@ impl Default for PatchConfig {
         Self {
             window_m: 0.12,
             noise_m: 0.02,
-            reach_vox: 1.75,
-            depth_vox: 1.75,
+            reach_vox: 1.5,
+            depth_vox: 1.25,
             behind_vox: 1.0,
             max_gap_m: 0.3,
             step_vox: 1.2,
