@@ -52,7 +52,7 @@ impl Default for PatchConfig {
             reach_vox: 1.5,
             depth_vox: 1.25,
             behind_vox: 1.0,
-            max_gap_m: 0.3,
+            max_gap_m: 1.0,
             step_vox: 1.2,
             fill_weight: 0.5,
             ray_weight: 0.3,

@@ -43,8 +43,13 @@ pub(super) fn fill(image: &ScanImage, limits: &Limits, all: &mut Vec<Patch>) {
 fn connect(a: &Patch, b: &Patch, limits: &Limits, between: &mut Vec<Patch>) {
     let apart = b.center - a.center;
     let gap = apart.length();
-    let far = gap < limits.step_m || gap > limits.max_gap_m;
-    if far || !b.is_some() || a.normal.dot(b.normal) < MIN_DOT {
+    // A plane that takes part of a window only is known as far as that window reaches.
+    let far = if a.whole && b.whole {
+        limits.max_gap_m
+    } else {
+        2.0 * limits.window_m
+    };
+    if !(limits.step_m..=far).contains(&gap) || !b.is_some() || a.normal.dot(b.normal) < MIN_DOT {
         return;
     }
     let off = a.normal.dot(apart).abs().max(b.normal.dot(apart).abs());
@@ -57,6 +62,7 @@ fn connect(a: &Patch, b: &Patch, limits: &Limits, between: &mut Vec<Patch>) {
         between.push(Patch {
             center: a.center + apart * t,
             normal: lerp(a.normal, b.normal, t),
+            whole: true,
         });
     }
 }

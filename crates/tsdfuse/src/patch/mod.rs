@@ -22,6 +22,8 @@ pub(crate) struct Patch {
     pub(crate) center: Vec3,
     /// Unit vector towards the side of the sensor; zero where there is no plane.
     pub(crate) normal: Vec3,
+    /// Whether it takes all returns around, in the whole window.
+    pub(crate) whole: bool,
 }
 
 impl Patch {
@@ -143,7 +145,10 @@ impl Scan<'_> {
             }
             let found = self.judge(&moments, &of);
             for lane in 0..count {
-                out[start + lane] = found.patches[lane];
+                out[start + lane] = Patch {
+                    whole: true,
+                    ..found.patches[lane]
+                };
                 if of[lane] != NONE && found.residual2[lane] == f32::INFINITY {
                     rest.push(of[lane]);
                 }
@@ -227,6 +232,7 @@ impl Scan<'_> {
                 found.patches[lane] = Patch {
                     center: self.points[i] + normal * off,
                     normal: if facing > 0.0 { -normal } else { normal },
+                    whole: false,
                 };
                 found.residual2[lane] = residual2;
             }
