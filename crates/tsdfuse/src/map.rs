@@ -314,6 +314,21 @@ impl Shard {
         slot
     }
 
+    /// Visits all blocks of some regions, and tells of each whether integration number `stamp` updated it.
+    pub(crate) fn for_each_block_mut(
+        &mut self,
+        stamp: u32,
+        is_wanted: impl Fn(IVec3) -> bool,
+        mut visit: impl FnMut(BlockIndex, bool, &mut Block),
+    ) {
+        for region in self.regions.iter().filter(|region| is_wanted(region.index)) {
+            for (number, &slot) in region.slots.iter().enumerate().filter(|(_, slot)| **slot != NO_SLOT) {
+                let updated = region.stamp == stamp && region.updated[number / 64] >> (number % 64) & 1 == 1;
+                visit(block_of_region(region.index, number), updated, &mut self.blocks[slot as usize]);
+            }
+        }
+    }
+
     /// The indices of all blocks, by slot.
     pub(crate) fn indices(&self) -> &[BlockIndex] {
         &self.indices
@@ -402,6 +417,11 @@ impl VoxelMap {
     pub(crate) fn begin_integration(&mut self) -> (u32, u32) {
         self.integrations = self.integrations.wrapping_add(1).max(1);
         (self.integrations, weight_limit(self.config.max_weight))
+    }
+
+    /// The number of the last integration.
+    pub(crate) fn integrations(&self) -> u32 {
+        self.integrations
     }
 
     /// What the map was made with.

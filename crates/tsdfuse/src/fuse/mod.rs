@@ -6,6 +6,7 @@
 
 mod beams;
 mod caminal;
+mod carve;
 mod centers;
 mod cylinder;
 mod cylindrical;

@@ -8,7 +8,9 @@ use serde::{Deserialize, Serialize};
 use super::{
     FuseError, Integration, Integrator,
     beams::Beams,
+    carve::{Carver, Seen},
     cylinder::{Row, VOXEL_RADIUS},
+    depth::world_axes,
     gather::Skip,
     lines::{Line, Lines, Rule, Shape},
     placed::{Order, Placed},
@@ -42,6 +44,8 @@ pub struct PatchConfig {
     pub fill_weight: f32,
     /// Weight of returns without plane.
     pub ray_weight: f32,
+    /// Whether free space erases what is not there any more.
+    pub carve: bool,
 }
 
 impl Default for PatchConfig {
@@ -53,9 +57,10 @@ impl Default for PatchConfig {
             depth_vox: 1.25,
             behind_vox: 1.0,
             max_gap_m: 1.0,
-            step_vox: 1.2,
+            step_vox: 1.5,
             fill_weight: 0.5,
             ray_weight: 0.3,
+            carve: true,
         }
     }
 }
@@ -69,6 +74,7 @@ pub struct Patch {
     image: ScanImage,
     patches: Patches,
     order: Order,
+    carver: Carver,
     lines: Lines,
 }
 
@@ -114,8 +120,7 @@ impl Integrator for Patch {
             Some(point) if !patches[i].is_some() => *point,
             _ => patches[i].center,
         };
-        let numbers: Vec<u32> = (0..patches.len() as u32).collect();
-        self.order.sort(grid, anchor, &numbers, |&i| at(i as usize));
+        self.order.sort(grid, anchor, patches.len(), at);
         let prepare_secs = start.elapsed().as_secs_f64();
 
         let truncation = map.config().truncation_vox();
@@ -146,6 +151,18 @@ impl Integrator for Patch {
                 behind: config.behind_vox,
             },
         );
+        let mut integration = integration;
+        if config.carve {
+            let seen = Seen {
+                image: &self.image,
+                placed,
+                patches,
+                anchor,
+                sensor_from_world: world_axes(scan).transpose(),
+            };
+            let carved = self.carver.carve(map, &seen, sensor);
+            integration.updated_blocks.extend(carved);
+        }
         Ok(Integration {
             prepare_secs,
             ..integration

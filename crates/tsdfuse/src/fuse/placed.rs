@@ -77,7 +77,8 @@ impl Placed {
     /// Orders the placed returns.
     pub(crate) fn sort(&mut self, grid: Grid) {
         if let Some(anchor) = self.anchor {
-            self.order.sort(grid, anchor, &self.points, |point| *point);
+            let points = &self.points;
+            self.order.sort(grid, anchor, points.len(), |i| points[i]);
         }
     }
 
@@ -113,29 +114,29 @@ impl Placed {
 impl Order {
     /// Orders things by the regions of their places, and within these by cells of 2³ blocks, which a counting sort takes in any
     /// order (and some as one).
-    pub(crate) fn sort<T: Sync>(&mut self, grid: Grid, anchor: Anchor, points: &[T], at: impl Fn(&T) -> Vec3 + Sync) {
+    pub(crate) fn sort(&mut self, grid: Grid, anchor: Anchor, count: usize, at: impl Fn(usize) -> Vec3 + Sync) {
         let (voxel, fraction) = anchor.split();
         let cell_edge = (2 * BLOCK_EDGE) as f32;
         let scale = (1.0 / grid.voxel_size_m()) as f32 / cell_edge;
         // Within the anchor's region; rounding may move a return at a border to the next cell.
         let start = ((voxel & ((1 << REGION_SHIFT) - 1)).as_vec3() + fraction.as_vec3()) / cell_edge - 0.5;
-        let cell = |p: &Vec3| {
-            let c = *p * scale + start;
+        let cell = |p: Vec3| {
+            let c = p * scale + start;
             let c = IVec3::new(round(c.x), round(c.y), round(c.z));
             let region: IVec3 = c >> 2;
             let within = c & 3;
             ((hash(region) & (REGIONS - 1)) << 6 | within.x | within.y << 2 | within.z << 4) as u16
         };
-        points
-            .par_iter()
+        (0..count)
+            .into_par_iter()
             .with_min_len(1024)
-            .map(|point| cell(&at(point)))
+            .map(|i| cell(at(i)))
             .collect_into_vec(&mut self.cells);
         let mut starts = [0; CELLS + 1];
         self.cells.iter().for_each(|&cell| starts[usize::from(cell) + 1] += 1);
         (0..CELLS).for_each(|c| starts[c + 1] += starts[c]);
         self.numbers.clear();
-        self.numbers.resize(points.len(), 0);
+        self.numbers.resize(count, 0);
         for (i, &cell) in (0..).zip(&self.cells) {
             let next = &mut starts[usize::from(cell)];
             self.numbers[*next] = i;

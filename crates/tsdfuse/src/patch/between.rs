@@ -15,27 +15,31 @@ const MAX_OFF: f32 = 2.0;
 /// Returns that one thread takes at a time.
 const PART: usize = 8192;
 
-/// Appends patches between those of neighbouring returns (next ring, next column), at most `step_m` apart, where the gap is no
-/// wider than `max_gap_m`.
-pub(super) fn fill(image: &ScanImage, limits: &Limits, all: &mut Vec<Patch>) {
-    let count = all.len();
-    let parts: Vec<Vec<Patch>> = (0..count.div_ceil(PART))
-        .into_par_iter()
-        .map(|part| {
-            let mut between = Vec::new();
+/// Finds patches between those of neighbouring returns (next ring, next column), at most `step_m` apart. Keeps its buffers.
+#[derive(Debug, Default)]
+pub(super) struct Between {
+    parts: Vec<Vec<Patch>>,
+}
+
+impl Between {
+    /// Appends them.
+    pub(super) fn append_to(&mut self, all: &mut Vec<Patch>, image: &ScanImage, limits: &Limits) {
+        let count = all.len();
+        self.parts.resize_with(count.div_ceil(PART), Vec::new);
+        self.parts.par_iter_mut().enumerate().for_each(|(part, between)| {
+            between.clear();
             for i in part * PART..((part + 1) * PART).min(count) {
                 let Some((ring, column)) = image.place_of(i).filter(|_| all[i].is_some()) else {
                     continue;
                 };
                 let next = if column + 1 == image.columns() { 0 } else { column + 1 };
                 for other in [image.get(ring + 1, column), image.get(ring, next)].into_iter().flatten() {
-                    connect(&all[i], &all[other], limits, &mut between);
+                    connect(&all[i], &all[other], limits, between);
                 }
             }
-            between
-        })
-        .collect();
-    parts.iter().for_each(|part| all.extend_from_slice(part));
+        });
+        self.parts.iter().for_each(|part| all.extend_from_slice(part));
+    }
 }
 
 /// Adds what lies between two patches, if they are of one surface.

@@ -12,6 +12,7 @@ use crate::{
     lanes::LANES,
     sensor::{NONE, ScanImage, SensorModel},
 };
+use between::Between;
 use plane::Moments;
 use sums::{MAX_COLUMNS, Window, WindowSums};
 
@@ -71,6 +72,7 @@ const PART: usize = 2048;
 #[derive(Debug, Default)]
 pub(crate) struct Patches {
     sums: WindowSums,
+    between: Between,
     /// By return; then those between returns.
     pub(crate) all: Vec<Patch>,
 }
@@ -106,7 +108,7 @@ impl Patches {
         parts.for_each_init(Vec::new, |rest, (part, out)| {
             dispatch!(level, _ => scan.find(part * PART, out, rest));
         });
-        between::fill(image, limits, &mut self.all);
+        self.between.append_to(&mut self.all, image, limits);
     }
 }
 
@@ -140,7 +142,7 @@ impl Scan<'_> {
                 let i = first + start + lane;
                 if let Some(around) = self.around(i) {
                     of[lane] = i as u32;
-                    moments.set(lane, &self.sums.of(around.window(PARTS[0])), self.points[i]);
+                    moments.set(lane, &self.sums.of(around.window(WHOLE)), self.points[i]);
                 }
             }
             let found = self.judge(&moments, &of);
@@ -155,22 +157,23 @@ impl Scan<'_> {
             }
             start += LANES;
         }
-        // Two returns at a time, each with eight parts of its window.
-        for pair in rest.chunks(2) {
+        // Four returns at a time, each with four halves of its window.
+        for few in rest.chunks(LANES / HALVES.len()) {
             let mut moments = Moments::NONE;
             let mut of = [NONE; LANES];
-            for (k, &i) in pair.iter().enumerate() {
+            for (k, &i) in few.iter().enumerate() {
                 let Some(around) = self.around(i as usize) else { continue };
-                for (part, &reach) in PARTS[1..].iter().enumerate() {
-                    let lane = 8 * k + part;
+                for (half, &reach) in HALVES.iter().enumerate() {
+                    let lane = HALVES.len() * k + half;
                     of[lane] = i;
                     moments.set(lane, &self.sums.of(around.window(reach)), self.points[i as usize]);
                 }
             }
             let found = self.judge(&moments, &of);
-            for (k, &i) in pair.iter().enumerate() {
-                let mut best = 8 * k;
-                for lane in 8 * k + 1..8 * k + 8 {
+            for (k, &i) in few.iter().enumerate() {
+                let first_half = HALVES.len() * k;
+                let mut best = first_half;
+                for lane in first_half + 1..first_half + HALVES.len() {
                     if found.residual2[lane] < found.residual2[best] {
                         best = lane;
                     }
@@ -252,23 +255,21 @@ struct Around {
     last: usize,
 }
 
-/// Whether a part of a window reaches to lower rings, to higher ones, to lower columns and to higher ones: all of it, halves,
-/// quarters.
-const PARTS: [[bool; 4]; 9] = [
-    [true, true, true, true],
+/// Whether a window reaches to lower rings, to higher ones, to lower columns and to higher ones.
+type Reach = [bool; 4];
+
+const WHOLE: Reach = [true; 4];
+
+const HALVES: [Reach; 4] = [
     [true, true, true, false],
     [true, true, false, true],
     [true, false, true, true],
     [false, true, true, true],
-    [true, false, true, false],
-    [true, false, false, true],
-    [false, true, true, false],
-    [false, true, false, true],
 ];
 
 impl Around {
     #[inline(always)]
-    fn window(&self, [down, up, left, right]: [bool; 4]) -> Window {
+    fn window(&self, [down, up, left, right]: Reach) -> Window {
         let reach = |yes: bool, far: usize| if yes { far } else { 0 };
         Window {
             rings: [

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use super::sums::Sums;
-use crate::lanes::{Floats, LANES, Vectors, lanes};
+use crate::lanes::{Floats, LANES, Mask, Vectors, lanes};
 
 /// Planes of least squares: of the sums over points, the mean, the normal (the eigenvector of the covariance's least eigenvalue)
 /// and the eigenvalues.
@@ -71,22 +71,19 @@ impl Moments {
         let [pxx, pxy, pxz, pyy, pyz, pzz] = power;
         let x = lanes(|l| pxx[l] >= pyy[l] && pxx[l] >= pzz[l]);
         let y = lanes(|l| pyy[l] >= pzz[l]);
-        let pick = |a: Floats, b: Floats, c: Floats| {
-            lanes(|l| if x[l] { a[l] } else if y[l] { b[l] } else { c[l] })
-        };
         let normal = Vectors {
-            x: pick(pxx, pxy, pxz),
-            y: pick(pxy, pyy, pyz),
-            z: pick(pxz, pyz, pzz),
+            x: choose(x, pxx, choose(y, pxy, pxz)),
+            y: choose(x, pxy, choose(y, pyy, pyz)),
+            z: choose(x, pxz, choose(y, pyz, pzz)),
         };
         let normal = normal.scale(normal.inverse_length());
-        let Vectors { x, y, z } = normal;
-        let least = lanes(|l| {
-            let of_x = xx[l] * x[l] + xy[l] * y[l] + xz[l] * z[l];
-            let of_y = xy[l] * x[l] + yy[l] * y[l] + yz[l] * z[l];
-            let of_z = xz[l] * x[l] + yz[l] * y[l] + zz[l] * z[l];
-            (of_x * x[l] + of_y * y[l] + of_z * z[l]).max(0.0)
-        });
+        let across = vectors(
+            normal.dot(vectors(xx, xy, xz)),
+            normal.dot(vectors(xy, yy, yz)),
+            normal.dot(vectors(xz, yz, zz)),
+        );
+        let least = across.dot(normal);
+        let least = lanes(|l| least[l].max(0.0));
         // The two others have this sum and this product.
         let sum = lanes(|l| xx[l] + yy[l] + zz[l] - least[l]);
         let product = lanes(|l| cofactors[0][l] + cofactors[3][l] + cofactors[5][l] - least[l] * sum[l]);
@@ -107,13 +104,24 @@ fn minor(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats {
     lanes(|l| a[l] * b[l] - c[l] * d[l])
 }
 
+/// a where the mask is set, else b.
+#[inline(always)]
+fn choose(mask: Mask, a: Floats, b: Floats) -> Floats {
+    lanes(|l| if mask[l] { a[l] } else { b[l] })
+}
+
 /// The square of a symmetric matrix, scaled to a trace of 1 before.
 #[inline(always)]
-fn squared([xx, xy, xz, yy, yz, zz]: [Floats; 6]) -> [Floats; 6] {
+fn squared(matrix: [Floats; 6]) -> [Floats; 6] {
+    let [xx, xy, xz, yy, yz, zz] = matrix;
     let scale = lanes(|l| 1.0 / (xx[l] + yy[l] + zz[l]));
-    let scaled = |m: Floats| lanes(|l| m[l] * scale[l]);
-    let (xx, xy, xz, yy, yz, zz) = (scaled(xx), scaled(xy), scaled(xz), scaled(yy), scaled(yz), scaled(zz));
-    let dot = |a: [Floats; 3], b: [Floats; 3]| lanes(|l| a[0][l] * b[0][l] + a[1][l] * b[1][l] + a[2][l] * b[2][l]);
-    let (x, y, z) = ([xx, xy, xz], [xy, yy, yz], [xz, yz, zz]);
-    [dot(x, x), dot(x, y), dot(x, z), dot(y, y), dot(y, z), dot(z, z)]
+    let x = vectors(xx, xy, xz).scale(scale);
+    let y = vectors(xy, yy, yz).scale(scale);
+    let z = vectors(xz, yz, zz).scale(scale);
+    [x.dot(x), x.dot(y), x.dot(z), y.dot(y), y.dot(z), z.dot(z)]
+}
+
+#[inline(always)]
+fn vectors(x: Floats, y: Floats, z: Floats) -> Vectors {
+    Vectors { x, y, z }
 }

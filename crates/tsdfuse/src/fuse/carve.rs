@@ -1,0 +1,242 @@
+//! Free space: what rays pass through is not surface, however often it was seen there before.
+//!
+//! Surface that moved on leaves a shell behind, whose voxels the map takes to lie inside of something (F < 0). A ray of a later
+//! scan that passes such a voxel and ends well behind it contradicts this; then both of the voxel's sums are quarterd. F stays
+//! as it is, so that a surface that is contradicted once in a while (by a wrong pose, a wet floor) does not move; one that is
+//! contradicted again and again, and seen no more, is forgotten.
+
+use std::f32::consts::{FRAC_PI_2, TAU};
+
+use fearless_simd::{Level, dispatch};
+use glam::{IVec3, Mat3, Vec3};
+use rayon::prelude::*;
+
+use super::{
+    centers::{BLOCK_RADIUS, Row},
+    gather::ROW,
+    placed::Placed,
+};
+use crate::{
+    index::{Anchor, BLOCK_EDGE, BlockIndex},
+    map::{Block, REGION_SHIFT, VoxelMap, Voxel},
+    patch::Patch,
+    sensor::{ScanImage, SensorModel, approx::atan2_f32},
+};
+
+/// A voxel is inside of something if it is at least this far behind its surface, in voxels.
+const INSIDE: f32 = 0.5;
+
+/// A ray passes a voxel if it is at most this far from its centre, in voxels.
+const BESIDE: f32 = 0.6;
+
+/// A ray tells nothing about voxels that are nearer than this to its end or to the plane that it ends on, in voxels: pose and range are
+/// not known better.
+const MARGIN: f32 = 2.5;
+
+/// Of less weight than this, a voxel is forgotten: 1/100, a return at 100 m.
+const FORGOTTEN: u32 = crate::map::WEIGHT_SCALE / 100;
+
+/// A block is looked at in one of this many scans: one that the scan did not update, and one that it did.
+const TURNS: [u32; 2] = [1, 8];
+
+/// Of a block that a scan did not update, this many voxels passed make that all of it is doubted.
+const MIN_PASSED: usize = 3;
+
+/// Bins of elevation, per radian.
+const BINS_PER_RAD: f32 = 1000.0;
+
+/// What a scan saw, to tell where its rays passed.
+pub(super) struct Seen<'a> {
+    pub(super) image: &'a ScanImage,
+    pub(super) placed: &'a Placed,
+    pub(super) patches: &'a [Patch],
+    pub(super) anchor: Anchor,
+    /// Turns world axes into the sensor's at the time of the scan's pose.
+    pub(super) sensor_from_world: Mat3,
+}
+
+/// Keeps its buffers from scan to scan.
+#[derive(Debug, Default)]
+pub(super) struct Carver {
+    /// The nearest ring of each bin of elevation.
+    rings: Vec<u16>,
+}
+
+impl Carver {
+    /// Quarters what the rays of a scan contradict; to be called after its surface was fused. Tells which blocks changed that
+    /// the scan has not updated.
+    pub(super) fn carve(&mut self, map: &mut VoxelMap, seen: &Seen<'_>, sensor: &SensorModel) -> Vec<BlockIndex> {
+        self.measure(sensor);
+        let this = &*self;
+        let config = *map.config();
+        let scale = Scale {
+            voxel_m: config.voxel_size_m as f32,
+            inside: INSIDE * (config.voxel_size_m / config.truncation_m) as f32,
+        };
+        let stamp = map.integrations();
+        let level = Level::new(); // the vector instructions of this CPU
+        let farthest2 = seen.placed.points.par_iter().map(|p| p.length_squared()).reduce(|| 0.0, f32::max);
+        let farthest = farthest2.sqrt();
+        let region_m = (1 << REGION_SHIFT) as f32 * scale.voxel_m;
+        let carved: Vec<Vec<BlockIndex>> = map
+            .shards
+            .par_iter_mut()
+            .map(|shard| {
+                let mut carved = Vec::new();
+                let near = |region: IVec3| {
+                    let middle = seen.anchor.offset_of(region << REGION_SHIFT) + 0.5 * region_m;
+                    middle.length() < farthest + region_m
+                };
+                shard.for_each_block_mut(stamp, near, |index, updated, block| {
+                    let turns = TURNS[usize::from(updated)];
+                    if (index.0.element_sum() as u32).wrapping_add(stamp) % turns == 0
+                        && dispatch!(level, _ => this.carve_block(index, block, !updated, seen, &scale))
+                        && !updated
+                    {
+                        carved.push(index);
+                    }
+                });
+                carved
+            })
+            .collect();
+        carved.concat()
+    }
+
+    /// Fills the tables.
+    fn measure(&mut self, sensor: &SensorModel) {
+        let bins = (std::f32::consts::PI * BINS_PER_RAD) as usize + 1;
+        let elevations = &sensor.elevations_deg;
+        let nearest = |bin: usize| {
+            let degrees = (bin as f32 / BINS_PER_RAD - std::f32::consts::FRAC_PI_2).to_degrees();
+            let above = elevations.partition_point(|e| *e < degrees).min(elevations.len() - 1);
+            let below = above.saturating_sub(1);
+            let nearer = degrees - elevations[below] < elevations[above] - degrees;
+            (if nearer { below } else { above }) as u16
+        };
+        if self.rings.is_empty() {
+            self.rings = (0..bins).map(nearest).collect();
+        }
+    }
+
+    /// Bins of elevation and columns in which eight places are seen (sensor axes).
+    #[inline(always)]
+    fn cells([x, y, z]: &Row, columns: usize) -> ([i32; ROW], [i32; ROW]) {
+        let (mut bins, mut firings) = ([0; ROW], [0; ROW]);
+        let per_rad = columns as f32 / TAU;
+        for i in 0..ROW {
+            let elevation = atan2_f32(z[i], (x[i] * x[i] + y[i] * y[i]).sqrt());
+            let column = -atan2_f32(y[i], x[i]) * per_rad;
+            let column = if column < 0.0 { column + columns as f32 } else { column };
+            // Not negative, so that conversion is the floor.
+            bins[i] = ((elevation + FRAC_PI_2) * BINS_PER_RAD + 0.5) as i32;
+            firings[i] = column as i32;
+        }
+        (bins, firings)
+    }
+
+    #[inline(always)]
+    fn ring(&self, bin: i32) -> usize {
+        usize::from(self.rings[(bin as usize).min(self.rings.len() - 1)])
+    }
+
+    /// Whether the ray nearest to the middle of a block ends behind the block.
+    #[inline(always)]
+    fn may_be_passed(&self, middle: Vec3, seen: &Seen<'_>, scale: &Scale) -> bool {
+        let p = seen.sensor_from_world * middle;
+        let (bins, columns) = Self::cells(&[[p.x; ROW], [p.y; ROW], [p.z; ROW]], seen.image.columns());
+        let near = seen.image.get(self.ring(bins[0]), columns[0] as usize % seen.image.columns());
+        let far_m = p.length() + BLOCK_RADIUS * scale.voxel_m;
+        near.is_some_and(|i| seen.placed.points[i].length_squared() > far_m * far_m)
+    }
+
+    #[inline(always)]
+    fn carve_block(&self, index: BlockIndex, block: &mut Block, whole: bool, seen: &Seen<'_>, scale: &Scale) -> bool {
+        let first = seen.anchor.offset_of(index.first_voxel());
+        let middle = first + 0.5 * (BLOCK_EDGE - 1) as f32 * scale.voxel_m;
+        if !self.may_be_passed(middle, seen, scale) {
+            return false;
+        }
+        let mut passed = 0;
+        let start = seen.sensor_from_world * first;
+        let step = seen.sensor_from_world * scale.voxel_m;
+        for row in 0..(BLOCK_EDGE * BLOCK_EDGE) as usize {
+            let (y, z) = ((row % ROW) as f32, (row / ROW) as f32);
+            let mut inside = 0;
+            for (x, voxel) in block.voxels[ROW * row..][..ROW].iter().enumerate() {
+                // Also false where nothing was observed.
+                let deep = (voxel.distance_sum as f32) < -scale.inside * voxel.weight_sum as f32;
+                inside |= u32::from(deep) << x;
+            }
+            if inside == 0 {
+                continue;
+            }
+            let start = start + step.y_axis * y + step.z_axis * z;
+            let mut places = [[0.0; ROW]; 3];
+            for (k, places) in places.iter_mut().enumerate() {
+                for (x, place) in places.iter_mut().enumerate() {
+                    *place = start[k] + step.x_axis[k] * x as f32;
+                }
+            }
+            let (bins, columns) = Self::cells(&places, seen.image.columns());
+            for x in (0..ROW).filter(|x| inside >> x & 1 == 1) {
+                let place = first + Vec3::new(x as f32, y, z) * scale.voxel_m;
+                if !is_passed(place, self.ring(bins[x]), columns[x] as usize, seen, scale) {
+                    continue;
+                }
+                passed += 1;
+                if !whole {
+                    quarter(&mut block.voxels[ROW * row + x]);
+                } else if passed == MIN_PASSED {
+                    block.voxels.iter_mut().for_each(quarter);
+                    return true;
+                }
+            }
+        }
+        passed > 0 && !whole
+    }
+}
+
+/// Whether a ray passes a place, seen in a ring and between a column and the next, and ends well behind it.
+#[inline(always)]
+fn is_passed(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>, scale: &Scale) -> bool {
+    let columns = seen.image.columns();
+    let margin = MARGIN * scale.voxel_m;
+    for column in [column, column + 1] {
+        let Some(i) = seen.image.get(ring, column % columns) else {
+            continue;
+        };
+        let origin = seen.placed.origins.get(i).copied().unwrap_or(Vec3::ZERO);
+        let (end, place) = (seen.placed.points[i] - origin, place - origin);
+        let length = end.length();
+        let along = place.dot(end) / length;
+        let patch = &seen.patches[i];
+        let above = if patch.is_some() {
+            (place - end).dot(patch.normal)
+        } else {
+            length - along
+        };
+        let (beside2, radius) = (place.length_squared() - along * along, BESIDE * scale.voxel_m);
+        if along > 0.0 && length - along > margin && above > margin && beside2 < radius * radius {
+            return true;
+        }
+    }
+    false
+}
+
+/// Lengths.
+struct Scale {
+    voxel_m: f32,
+    /// [`INSIDE`], in units of F.
+    inside: f32,
+}
+
+/// Leaves a quarter of both sums.
+fn quarter(voxel: &mut Voxel) {
+    *voxel = Voxel {
+        weight_sum: voxel.weight_sum / 4,
+        distance_sum: voxel.distance_sum / 4,
+    };
+    if voxel.weight_sum < FORGOTTEN {
+        *voxel = Voxel::default();
+    }
+}
