@@ -324,7 +324,11 @@ impl Shard {
         for region in self.regions.iter().filter(|region| is_wanted(region.index)) {
             for (number, &slot) in region.slots.iter().enumerate().filter(|(_, slot)| **slot != NO_SLOT) {
                 let updated = region.stamp == stamp && region.updated[number / 64] >> (number % 64) & 1 == 1;
-                visit(block_of_region(region.index, number), updated, &mut self.blocks[slot as usize]);
+                visit(
+                    block_of_region(region.index, number),
+                    updated,
+                    &mut self.blocks[slot as usize],
+                );
             }
         }
     }

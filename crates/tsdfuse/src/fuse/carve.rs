@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     index::{Anchor, BLOCK_EDGE, BlockIndex},
-    map::{Block, REGION_SHIFT, VoxelMap, Voxel},
+    map::{Block, REGION_SHIFT, Voxel, VoxelMap},
     patch::Patch,
     sensor::{ScanImage, SensorModel, approx::atan2_f32},
 };
@@ -75,7 +75,12 @@ impl Carver {
         };
         let stamp = map.integrations();
         let level = Level::new(); // the vector instructions of this CPU
-        let farthest2 = seen.placed.points.par_iter().map(|p| p.length_squared()).reduce(|| 0.0, f32::max);
+        let farthest2 = seen
+            .placed
+            .points
+            .par_iter()
+            .map(|p| p.length_squared())
+            .reduce(|| 0.0, f32::max);
         let farthest = farthest2.sqrt();
         let region_m = (1 << REGION_SHIFT) as f32 * scale.voxel_m;
         let carved: Vec<Vec<BlockIndex>> = map
@@ -144,7 +149,9 @@ impl Carver {
     fn may_be_passed(&self, middle: Vec3, seen: &Seen<'_>, scale: &Scale) -> bool {
         let p = seen.sensor_from_world * middle;
         let (bins, columns) = Self::cells(&[[p.x; ROW], [p.y; ROW], [p.z; ROW]], seen.image.columns());
-        let near = seen.image.get(self.ring(bins[0]), columns[0] as usize % seen.image.columns());
+        let near = seen
+            .image
+            .get(self.ring(bins[0]), columns[0] as usize % seen.image.columns());
         let far_m = p.length() + BLOCK_RADIUS * scale.voxel_m;
         near.is_some_and(|i| seen.placed.points[i].length_squared() > far_m * far_m)
     }

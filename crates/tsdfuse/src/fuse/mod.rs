@@ -29,7 +29,7 @@ pub use cylindrical::Cylindrical;
 pub use depth::Depth;
 pub use kuehner::Kuehner;
 pub use normals::Normals;
-pub use patch::{PatchConfig, Patch};
+pub use patch::{Patch, PatchConfig};
 pub use raycast::{Distance, Raycast, RaycastConfig};
 pub use roldao::{Roldao, RoldaoConfig, RoldaoForm};
 pub use surfel::Surfels;
@@ -90,6 +90,7 @@ impl FuseConfig {
     pub fn validate(&self) -> Result<(), FuseError> {
         self.normals.validate().map_err(|e| FuseError::Config(e.to_string()))?;
         self.surfel.validate().map_err(|e| FuseError::Config(e.to_string()))?;
+        self.patch.validate()?;
         self.caminal.validate()?;
         self.roldao.validate()
     }

@@ -1,4 +1,13 @@
-//! Surface patches: ours.
+//! Surface patches (`patch`): our own method. `docs/method.md` explains it with figures.
+//!
+//! Every return takes the plane of the returns around it (`crate::patch`), by which its own noise is averaged out, and updates
+//! the voxels along the plane's normal, as local normals do. Between neighbouring returns of one surface that are farther
+//! apart than voxels, patches are put in, so that the surface is closed. Returns without a plane update along their ray, with less
+//! weight. What rays of later scans pass through is erased (`carve`).
+//!
+//! Which voxels: within √3·κ/2 of the line along the normal, as far in front of the surface and behind it as marching cubes needs
+//! them; a longer line would only carry the surface beyond its edges. What distance: (v − p)·n/μ. What weight: min(1, 1/range) ×
+//! the cosine of the incidence, falling to 0 behind the surface, where nothing was seen.
 
 use std::time::Instant;
 
@@ -19,31 +28,38 @@ use crate::{
     map::VoxelMap,
     patch::{Limits, Patches},
     scan::Scan,
-    sensor::{ScanImage, SensorModel, rings_of},
+    sensor::{ScanImage, SensorModel, grid_of, rings_of},
 };
+
+/// How far in front of the surface voxels are updated, in voxels: cells that the surface passes have their corners within √3/2
+/// of it along the normal, and those of neighbouring lines a little more.
+const FRONT: f32 = 1.5;
+
+/// How far behind it.
+const BEHIND: f32 = 1.25;
+
+/// From here on, behind the surface, the weight falls to 0, half a voxel beyond [`BEHIND`].
+const FULL_BEHIND: f32 = 1.0;
+
+/// Patches between returns are this far apart, in voxels: lines of radius √3/2 still overlap.
+const STEP: f32 = 1.5;
+
+/// Weight of a patch between returns: two neighbours know it half as well as they know themselves.
+const BETWEEN_WEIGHT: f32 = 0.5;
+
+/// Weight of a return without a plane.
+const RAY_WEIGHT: f32 = 0.3;
 
 /// Options of [`Patch`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PatchConfig {
-    /// Half the edge of the windows in which planes are fitted, metres.
+    /// Half the edge of the windows that planes are fitted in, metres.
     pub window_m: f32,
-    /// Standard deviation of ranges, metres.
+    /// The standard deviation of ranges, metres.
     pub noise_m: f32,
-    /// How far in front of the surface voxels are updated, in voxels.
-    pub reach_vox: f32,
-    /// How far behind the surface voxels are updated.
-    pub depth_vox: f32,
-    /// Behind fall-off start, in voxels.
-    pub behind_vox: f32,
-    /// Interpolate between neighbours across gaps up to this.
+    /// Surface is closed between neighbouring returns no farther apart than this, metres; 0: nowhere.
     pub max_gap_m: f32,
-    /// Step of interpolated lines, voxels.
-    pub step_vox: f32,
-    /// Weight of interpolated ones.
-    pub fill_weight: f32,
-    /// Weight of returns without plane.
-    pub ray_weight: f32,
     /// Whether free space erases what is not there any more.
     pub carve: bool,
 }
@@ -53,14 +69,31 @@ impl Default for PatchConfig {
         Self {
             window_m: 0.12,
             noise_m: 0.02,
-            reach_vox: 1.5,
-            depth_vox: 1.25,
-            behind_vox: 1.0,
             max_gap_m: 1.0,
-            step_vox: 1.5,
-            fill_weight: 0.5,
-            ray_weight: 0.3,
             carve: true,
+        }
+    }
+}
+
+impl PatchConfig {
+    /// Checks the numbers, which may come from a file.
+    ///
+    /// # Errors
+    /// [`FuseError::Config`] names the field.
+    pub fn validate(&self) -> Result<(), FuseError> {
+        let lengths = [
+            ("window_m", self.window_m, 1e-3),
+            ("noise_m", self.noise_m, 1e-4),
+            ("max_gap_m", self.max_gap_m, 0.0),
+        ];
+        match lengths
+            .into_iter()
+            .find(|(_, value, least)| !(*least..=100.0).contains(value))
+        {
+            None => Ok(()),
+            Some((name, value, least)) => Err(FuseError::Config(format!(
+                "patch.{name} is {value}; {least} to 100 m are possible"
+            ))),
         }
     }
 }
@@ -74,12 +107,13 @@ pub struct Patch {
     image: ScanImage,
     patches: Patches,
     order: Order,
-    carver: Carver,
     lines: Lines,
+    carver: Carver,
 }
 
 impl Patch {
-    /// With the given options. Without a sensor's model, the first scan decides which one it is.
+    /// With the given options. Without a sensor's model, the first scan decides which one it is; scans without beams are put
+    /// into a grid of their own.
     pub fn new(config: PatchConfig, sensor: Option<SensorModel>) -> Self {
         Self {
             config,
@@ -92,67 +126,73 @@ impl Patch {
 impl Integrator for Patch {
     fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError> {
         let start = Instant::now();
-        let (grid, config) = (map.grid(), self.config);
+        let grid = map.grid();
         let (placed, image) = (&mut self.placed, &mut self.image);
         if scan.points.is_empty() {
             placed.place(grid, scan)?;
             return Ok(Integration::default());
         }
         scan.check()?;
-        let sensor = self.beams.of(scan)?;
+        let unorganized;
+        let (sensor, rings) = match self.beams.of(scan) {
+            Ok(sensor) => (sensor, rings_of(scan, sensor)),
+            Err(error) => {
+                unorganized = grid_of(&scan.points).ok_or(error)?;
+                (&unorganized.0, unorganized.1.as_slice().into())
+            }
+        };
         let (anchor, ()) = rayon::join(
             || placed.place(grid, scan),
-            || image.update(&scan.points, &rings_of(scan, sensor), sensor),
+            || image.update(&scan.points, &rings, sensor),
         );
         let anchor = anchor?;
-        let voxel_m = map.config().voxel_size_m as f32;
-        let limits = Limits {
-            window_m: config.window_m,
-            noise_m: config.noise_m,
-            step_m: config.step_vox * voxel_m,
-            max_gap_m: config.max_gap_m,
-        };
         let placed = &self.placed;
-        self.patches
-            .update(&self.image, &placed.points, &placed.origins, sensor, &limits);
-        let (returns, patches) = (placed.len(), &self.patches.all);
-        let at = |i: usize| match placed.points.get(i) {
-            Some(point) if !patches[i].is_some() => *point,
-            _ => patches[i].center,
+        let limits = Limits {
+            window_m: self.config.window_m,
+            noise_m: self.config.noise_m,
+            step_m: STEP * grid.voxel_size_m() as f32,
+            max_gap_m: self.config.max_gap_m,
         };
-        self.order.sort(grid, anchor, patches.len(), at);
+        let column_rad = sensor.column_width_rad() as f32;
+        self.patches
+            .update(&self.image, &placed.points, &placed.origins, column_rad, &limits);
+        let (returns, patches) = (placed.len(), &self.patches.all);
+        let is_ray = |i: usize| i < returns && !patches[i].is_some();
+        self.order.sort(grid, anchor, patches.len(), |i| {
+            if is_ray(i) { placed.points[i] } else { patches[i].center }
+        });
         let prepare_secs = start.elapsed().as_secs_f64();
 
-        let truncation = map.config().truncation_vox();
-        let integration = self.lines.run(
+        let mut done = self.lines.run(
             map,
             &self.order.numbers,
             #[inline(always)]
             |i| {
-                let patch = patches[i];
-                if i < returns && !patch.is_some() {
+                if is_ray(i) {
                     let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
-                    let weight = config.ray_weight * (1.0 / ray.range_m).min(1.0);
-                    return Ok(Line { center: ray.end, axis: -ray.direction, weight });
+                    return Ok(Line {
+                        center: ray.end,
+                        axis: -ray.direction,
+                        weight: RAY_WEIGHT * (1.0 / ray.range_m).min(1.0),
+                    });
                 }
+                let patch = &patches[i];
                 let range_m = patch.center.length();
-                let cosine = -patch.center.dot(patch.normal) / range_m;
-                let kind = if i < returns { 1.0 } else { config.fill_weight };
+                let cosine = (-patch.center.dot(patch.normal) / range_m).max(0.0);
+                let kind = if i < returns { 1.0 } else { BETWEEN_WEIGHT };
                 Ok(Line {
                     center: anchor.locate(patch.center).ok_or(Skip::OutsideGrid)?,
                     axis: patch.normal,
-                    weight: kind * (1.0 / range_m).min(1.0) * cosine.max(0.0),
+                    weight: kind * cosine * (1.0 / range_m).min(1.0),
                 })
             },
             &AlongPatch {
-                truncation,
-                reach: config.reach_vox.min(truncation),
-                depth: config.depth_vox,
-                behind: config.behind_vox,
+                truncation: map.config().truncation_vox(),
             },
         );
-        let mut integration = integration;
-        if config.carve {
+        // Those between returns are none.
+        done.fused_returns = done.fused_returns.saturating_sub((patches.len() - returns) as u64);
+        if self.config.carve {
             let seen = Seen {
                 image: &self.image,
                 placed,
@@ -160,22 +200,15 @@ impl Integrator for Patch {
                 anchor,
                 sensor_from_world: world_axes(scan).transpose(),
             };
-            let carved = self.carver.carve(map, &seen, sensor);
-            integration.updated_blocks.extend(carved);
+            done.updated_blocks.extend(self.carver.carve(map, &seen, sensor));
         }
-        Ok(Integration {
-            prepare_secs,
-            ..integration
-        })
+        Ok(Integration { prepare_secs, ..done })
     }
 }
 
 /// Along a patch's normal, or against the ray where there is no patch.
-struct AlongPatch {
-    truncation: f32,
-    reach: f32,
-    depth: f32,
-    behind: f32,
+pub(super) struct AlongPatch {
+    pub(super) truncation: f32,
 }
 
 impl Rule for AlongPatch {
@@ -183,17 +216,14 @@ impl Rule for AlongPatch {
 
     #[inline(always)]
     fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
-        let (reach, inverse, weight) = (self.reach, 1.0 / self.truncation, line.weight);
-        let depth = self.depth;
-        let slope = 1.0 / (depth + 0.5 - self.behind.min(depth));
+        let (inverse, weight) = (1.0 / self.truncation, line.weight);
+        let (front, behind) = (FRONT.min(self.truncation), BEHIND.min(self.truncation));
+        let end = BEHIND + 0.5;
         #[inline(always)]
         move |v| {
-            let behind = ((depth + 0.5 + v.along) * slope).max(0.0).min(1.0);
-            (
-                v.within(VOXEL_RADIUS, reach) & v.along.simd_ge(-depth),
-                v.along * inverse,
-                behind * weight,
-            )
+            let known = ((v.along + end) * (1.0 / (end - FULL_BEHIND))).max(0.0).min(1.0);
+            let inside = v.within(VOXEL_RADIUS, front) & v.along.simd_ge(-behind);
+            (inside, v.along * inverse, known * weight)
         }
     }
 }

@@ -4,8 +4,8 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 
-use crate::lanes::{Floats, LANES, Mask, Vectors, lanes, select};
 use super::{CANCELLED, Cloud, Normal};
+use crate::lanes::{Floats, LANES, Mask, Vectors, lanes, select};
 use crate::sensor::approx::acos_f32;
 
 /// The normals of the returns from `first` on.

@@ -33,7 +33,10 @@ impl Between {
                     continue;
                 };
                 let next = if column + 1 == image.columns() { 0 } else { column + 1 };
-                for other in [image.get(ring + 1, column), image.get(ring, next)].into_iter().flatten() {
+                for other in [image.get(ring + 1, column), image.get(ring, next)]
+                    .into_iter()
+                    .flatten()
+                {
                     connect(&all[i], &all[other], limits, between);
                 }
             }

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::{
     lanes::LANES,
-    sensor::{NONE, ScanImage, SensorModel},
+    sensor::{NONE, ScanImage},
 };
 use between::Between;
 use plane::Moments;
@@ -79,7 +79,7 @@ pub(crate) struct Patches {
 
 impl Patches {
     /// `points` are those that `image` was built from, in any axes, with the `origins` of their rays (all at zero if there are
-    /// none).
+    /// none); columns are `column_rad` apart.
     ///
     /// A return's window reaches as far along rings and columns as [`Limits::window_m`] does at its range. If its returns do not
     /// lie in a plane, halves and quarters of it are tried, so that planes end at edges: of those that are planes the one with
@@ -89,7 +89,7 @@ impl Patches {
         image: &ScanImage,
         points: &[Vec3],
         origins: &[Vec3],
-        sensor: &SensorModel,
+        column_rad: f32,
         limits: &Limits,
     ) {
         self.sums.update(image, points);
@@ -101,7 +101,7 @@ impl Patches {
             origins,
             sums: &self.sums,
             limits: *limits,
-            column_rad: sensor.column_width_rad() as f32,
+            column_rad,
         };
         let level = Level::new(); // the vector instructions of this CPU
         let parts = self.all.par_chunks_mut(PART).enumerate();
@@ -162,7 +162,9 @@ impl Scan<'_> {
             let mut moments = Moments::NONE;
             let mut of = [NONE; LANES];
             for (k, &i) in few.iter().enumerate() {
-                let Some(around) = self.around(i as usize) else { continue };
+                let Some(around) = self.around(i as usize) else {
+                    continue;
+                };
                 for (half, &reach) in HALVES.iter().enumerate() {
                     let lane = HALVES.len() * k + half;
                     of[lane] = i;

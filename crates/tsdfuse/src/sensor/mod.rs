@@ -14,6 +14,7 @@ mod rings;
 mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
+mod unorganized;
 
 pub use cylindrical::{Cylindrical, CylindricalPoint};
 pub use depth_image::DepthImage;
@@ -25,6 +26,7 @@ pub use pinhole::{MAX_IMAGE_EDGE, Pinhole, PinholeError};
 pub use projection::{Pixel, Projection};
 pub use rings::{NO_RING, RingRecovery, RingSource, recover_rings, rings_of, sort_rings};
 pub use tables::{model, names};
+pub(crate) use unorganized::grid_of;
 
 /// A rotating LiDAR: its beams, how finely it samples a turn, and which ranges it measures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
