@@ -58,7 +58,8 @@ pub(super) struct Seen<'a> {
 /// Keeps its buffers from scan to scan.
 #[derive(Debug, Default)]
 pub(super) struct Carver {
-    /// The nearest ring of each bin of elevation.
+    /// The sensor's, and the nearest ring of each bin of elevation.
+    elevations_deg: Vec<f32>,
     rings: Vec<u16>,
 }
 
@@ -118,8 +119,9 @@ impl Carver {
             let nearer = degrees - elevations[below] < elevations[above] - degrees;
             (if nearer { below } else { above }) as u16
         };
-        if self.rings.is_empty() {
+        if self.elevations_deg != *elevations {
             self.rings = (0..bins).map(nearest).collect();
+            self.elevations_deg.clone_from(elevations);
         }
     }
 

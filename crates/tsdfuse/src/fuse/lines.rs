@@ -510,7 +510,10 @@ impl<S: Simd, const AXIS: usize> Places<S, AXIS> {
 mod tests {
     use super::*;
     use crate::{
-        fuse::{cylinder::tests::any_cylinder, normals::AlongNormal, raycast::Euclidean, raycast::Projective},
+        fuse::{
+            cylinder::tests::any_cylinder, normals::AlongNormal, patch::AlongPatch, raycast::Euclidean,
+            raycast::Projective,
+        },
         map::{MapConfig, Voxel, fixed},
     };
     use proptest::prelude::*;
@@ -606,6 +609,7 @@ mod tests {
             check(&lines, truncation, &Euclidean { truncation })?;
             check(&lines, truncation, &Projective { truncation })?;
             check(&lines, truncation, &AlongNormal { truncation })?;
+            check(&lines, truncation, &AlongPatch { truncation })?;
         }
     }
 

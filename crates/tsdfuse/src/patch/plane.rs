@@ -125,3 +125,88 @@ fn squared(matrix: [Floats; 6]) -> [Floats; 6] {
 fn vectors(x: Floats, y: Floats, z: Floats) -> Vectors {
     Vectors { x, y, z }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::eigen::eigen;
+    use glam::{DMat3, DQuat};
+    use proptest::prelude::*;
+
+    fn sums_of(points: &[DVec3]) -> Sums {
+        let mut sums = [0.0; 10];
+        for p in points {
+            let [x, y, z] = p.to_array();
+            let all = [1.0, x, y, z, x * x, x * y, x * z, y * y, y * z, z * z];
+            sums.iter_mut().zip(all).for_each(|(sum, add)| *sum += add);
+        }
+        sums
+    }
+
+    /// Mean, normal, mean squared residual and spread, by a solver of eigenvalues.
+    fn literal(points: &[DVec3]) -> (DVec3, DVec3, f64, f64) {
+        let n = points.len() as f64;
+        let mean = points.iter().sum::<DVec3>() / n;
+        let outer = |d: DVec3| DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+        let covariance = points.iter().fold(DMat3::ZERO, |sum, p| sum + outer(p - mean)) * (1.0 / n);
+        let e = eigen(&covariance);
+        (mean, e.vectors[0], e.values[0].max(0.0) * n / (n - 3.0), e.values[1])
+    }
+
+    /// Points about a plane of some size, thickness and place.
+    fn any_points() -> impl Strategy<Value = Vec<DVec3>> {
+        let unit = || -1.0..1.0f64;
+        let points = prop::collection::vec((unit(), unit(), unit()), 6..60);
+        let turn = (unit(), unit(), unit(), unit()).prop_filter("a turn", |q| q.0.abs() + q.1.abs() > 0.1);
+        (
+            points,
+            turn,
+            prop::array::uniform3(-80.0..80.0f64),
+            0.05..0.5f64,
+            0.3..1.0f64,
+            0.0..0.03f64,
+        )
+            .prop_map(|(points, (x, y, z, w), place, long, wide, thick)| {
+                let turn = DQuat::from_xyzw(x, y, z, w).normalize();
+                let at = |(a, b, c): (f64, f64, f64)| {
+                    DVec3::from(place) + turn * DVec3::new(long * a, long * wide * b, thick * c)
+                };
+                points.into_iter().map(at).collect()
+            })
+    }
+
+    proptest! {
+        #[test]
+        fn planes_are_those_of_a_solver_of_eigenvalues(clouds in prop::collection::vec(any_points(), 1..=LANES)) {
+            let mut moments = Moments::NONE;
+            for (lane, points) in clouds.iter().enumerate() {
+                moments.set(lane, &sums_of(points), points[0].as_vec3());
+            }
+            let planes = moments.planes();
+            for (lane, points) in clouds.iter().enumerate() {
+                let (mean, normal, residual2, spread2) = literal(points);
+                let near = |a: f32, b: f64| (f64::from(a) - b).abs() < 1e-6 + 2e-3 * b;
+                prop_assert!(near(planes.residual2[lane], residual2), "{} {residual2}", planes.residual2[lane]);
+                prop_assert!(near(planes.spread2[lane], spread2), "{} {spread2}", planes.spread2[lane]);
+                prop_assert!((planes.mean.get(lane).as_dvec3() - (mean - points[0])).length() < 1e-4);
+                prop_assert_eq!(planes.count[lane], points.len() as f32);
+                // Where it is a plane at all.
+                if spread2 > 4.0 * residual2 {
+                    let off = planes.normal.get(lane).as_dvec3().dot(normal).abs();
+                    prop_assert!((off - 1.0).abs() < 1e-5, "{off}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn points_on_a_line_or_too_few_are_no_plane() {
+        let mut moments = Moments::NONE;
+        let line: Vec<DVec3> = (0..20).map(|i| DVec3::new(1.0, 2.0, 3.0) * f64::from(i)).collect();
+        moments.set(0, &sums_of(&line), Vec3::ZERO);
+        moments.set(1, &sums_of(&line[..1]), Vec3::ZERO);
+        let planes = moments.planes();
+        assert!(!(planes.spread2[0] > 1e-3), "{}", planes.spread2[0]);
+        assert!(!(planes.spread2[1] > 1e-3) && planes.count[1] == 1.0);
+    }
+}

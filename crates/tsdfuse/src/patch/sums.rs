@@ -103,3 +103,72 @@ fn add(sums: &mut Sums, point: Vec3) {
         sums[k] += of_point[k];
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::SensorModel;
+    use proptest::prelude::*;
+
+    const RINGS: usize = 37;
+    const COLUMNS: usize = 40;
+
+    /// A return in most cells.
+    fn image() -> (ScanImage, Vec<Vec3>) {
+        let elevations = (0..RINGS).map(|r| r as f32 - 20.0).collect();
+        let model = SensorModel::from_beams("test", elevations, COLUMNS as u32, (0.1, 100.0)).unwrap();
+        let cells = (0..RINGS * COLUMNS).filter(|i| i % 7 != 3);
+        let (mut points, mut rings) = (Vec::new(), Vec::new());
+        for i in cells {
+            let (ring, column) = (i / COLUMNS, i % COLUMNS);
+            let azimuth = -std::f32::consts::TAU * (column as f32 + 0.5) / COLUMNS as f32;
+            let elevation = model.elevations_deg[ring].to_radians();
+            let range = 3.0 + (i * 7919 % 1000) as f32 * 0.03;
+            let [sin, cos] = [azimuth.sin(), azimuth.cos()];
+            points.push(range * Vec3::new(elevation.cos() * cos, elevation.cos() * sin, elevation.sin()));
+            rings.push(ring as u16);
+        }
+        let mut image = ScanImage::new();
+        image.update(&points, &rings, &model);
+        assert_eq!((image.collisions(), image.outside()), (0, 0));
+        (image, points)
+    }
+
+    fn literal(image: &ScanImage, points: &[Vec3], window: Window) -> Sums {
+        let mut sums = [0.0; 10];
+        for ring in window.rings[0]..=window.rings[1] {
+            for column in window.columns[0]..=window.columns[1] {
+                if let Some(i) = image.get(ring, (column + 3 * COLUMNS - MAX_COLUMNS) % COLUMNS) {
+                    add(&mut sums, points[i]);
+                }
+            }
+        }
+        sums
+    }
+
+    fn differ(a: Sums, b: Sums) -> bool {
+        a.iter().zip(b).any(|(a, b)| (a - b).abs() > 1e-6)
+    }
+
+    proptest! {
+        #[test]
+        fn sums_are_those_over_the_windows_returns(
+            ring in 0..RINGS, rings in 0..20_usize, column in 0..COLUMNS, left in 0..=MAX_COLUMNS, right in 0..=MAX_COLUMNS,
+        ) {
+            let (image, points) = image();
+            let mut sums = WindowSums::default();
+            sums.update(&image, &points[..200]); // overwritten
+            sums.update(&image, &points);
+            let window = Window {
+                rings: [ring, (ring + rings).min(RINGS - 1)],
+                columns: [column + MAX_COLUMNS - left, column + MAX_COLUMNS + right],
+            };
+            let slow = literal(&image, &points, window);
+            prop_assert!(!differ(sums.of(window), slow));
+            // And the comparison would see one return that is missing.
+            let mut less = slow;
+            add(&mut less, Vec3::splat(1e-3));
+            prop_assert!(differ(sums.of(window), less));
+        }
+    }
+}
