@@ -13,6 +13,9 @@ const COARSE: f32 = 0.02;
 /// Returns for each cell of the image, in the mean.
 const PER_CELL: f32 = 1.0;
 
+/// The highest row, and the lowest: radians.
+const STEEPEST: f32 = 1.57;
+
 /// Cells are at least and at most this wide: radians.
 const CELL: (f32, f32) = (0.000_5, 0.05);
 
@@ -41,17 +44,16 @@ pub(crate) fn grid_of(points: &[Vec3]) -> Option<(SensorModel, Vec<u16>)> {
         })
         .sum();
     let cell = (PER_CELL * solid_angle / count as f32).sqrt().clamp(CELL.0, CELL.1);
-    let cell = cell.max((high - low) / (MAX_BEAMS - 2) as f32);
-    let rings = ((high - low) / cell) as usize + 2;
-    let elevations_deg = (0..rings).map(|k| (low + cell * (k as f32 - 0.25)).to_degrees());
+    // Rows within what elevations may be.
+    let (low, high) = (low.clamp(-STEEPEST, STEEPEST), high.clamp(-STEEPEST, STEEPEST));
+    let gaps = ((high - low) / cell).ceil().min((MAX_BEAMS - 1) as f32);
+    let gap = if gaps > 0.0 { (high - low) / gaps } else { cell };
+    let elevations_deg = (0..=gaps as usize).map(|k| (low + gap * k as f32).to_degrees());
     let columns = ((TAU / cell) as u32).clamp(4, MAX_COLUMNS);
     let model = SensorModel::from_beams("grid", elevations_deg.collect(), columns, (0.0, f32::MAX)).ok()?;
-    let row = |&e: &f32| {
-        if e.is_nan() {
-            NO_RING
-        } else {
-            ((e - low) / cell + 0.75) as u16
-        }
+    let row = |e: &f32| match e.is_nan() {
+        true => NO_RING,
+        false => ((e.clamp(low, high) - low) / gap + 0.5) as u16,
     };
     Some((model, elevations.iter().map(row).collect()))
 }
@@ -88,11 +90,11 @@ mod tests {
             image.update(&points, &rings, &model);
             let placed = (0..count).filter(|&i| image.place_of(i).is_some()).count();
             assert!(placed * 10 > count * 6, "{placed} of {count}");
-            let elevation_off = (0..count).all(|i| {
+            let is_nearest = |i: usize| {
                 let beam = model.elevations_deg[usize::from(rings[i])].to_radians();
-                (elevation(&points[i]) - beam).abs() <= 0.8 * (TAU / model.columns as f32)
-            });
-            assert!(elevation_off);
+                (elevation(&points[i]) - beam).abs() <= 0.51 * TAU / model.columns as f32
+            };
+            assert!((0..count).all(is_nearest));
         }
     }
 
