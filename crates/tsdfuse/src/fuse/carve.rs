@@ -95,7 +95,7 @@ impl Carver {
                 };
                 shard.for_each_block_mut(stamp, near, |index, updated, block| {
                     let turns = TURNS[usize::from(updated)];
-                    if (index.0.element_sum() as u32).wrapping_add(stamp) % turns == 0
+                    if (index.0.element_sum() as u32).wrapping_add(stamp).is_multiple_of(turns)
                         && dispatch!(level, _ => this.carve_block(index, block, !updated, seen, &scale))
                         && !updated
                     {

@@ -138,10 +138,10 @@ impl Scan<'_> {
             let count = (out.len() - start).min(LANES);
             let mut moments = Moments::NONE;
             let mut of = [NONE; LANES];
-            for lane in 0..count {
+            for (lane, of) in of.iter_mut().enumerate().take(count) {
                 let i = first + start + lane;
                 if let Some(around) = self.around(i) {
-                    of[lane] = i as u32;
+                    *of = i as u32;
                     moments.set(lane, &self.sums.of(around.window(WHOLE)), self.points[i]);
                 }
             }
@@ -220,16 +220,17 @@ impl Scan<'_> {
         };
         let noise = self.limits.noise_m;
         let limit = (MAX_RESIDUAL * noise) * (MAX_RESIDUAL * noise);
-        for lane in 0..LANES {
+        for (lane, &i) in of.iter().enumerate() {
             let residual2 = planes.residual2[lane];
             let spread2 = planes.spread2[lane];
             // Also false for NaN.
             let is_plane = planes.count[lane] >= MIN_RETURNS
                 && residual2 <= limit
                 && spread2 >= MIN_SPREAD * MIN_SPREAD * residual2.max(0.25 * limit);
-            let Some(i) = Some(of[lane] as usize).filter(|_| of[lane] != NONE && is_plane) else {
+            if i == NONE || !is_plane {
                 continue;
-            };
+            }
+            let i = i as usize;
             let (ray, normal) = (self.ray(i), planes.normal.get(lane));
             let facing = ray.dot(normal);
             let off = normal.dot(planes.mean.get(lane));
