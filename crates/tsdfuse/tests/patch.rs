@@ -206,7 +206,7 @@ fn scans_without_beams_are_fused_as_well() {
         .iter()
         .map(|v| (half - v.abs()).abs())
         .filter(|d| d.to_array().iter().filter(|d| **d < 0.3).count() == 1)
-        .map(|d| d.min_element())
+        .map(DVec3::min_element)
         .collect();
     let mean = walls.iter().sum::<f64>() / walls.len() as f64;
     assert!(walls.len() > 20_000 && mean < 0.02, "{} {mean}", walls.len());
