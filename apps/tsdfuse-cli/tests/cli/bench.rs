@@ -73,7 +73,7 @@ fn every_method_is_measured_and_its_stages_make_up_the_run() {
             .contains("not the image of a depth camera")
     );
     let methods = results["methods"].as_array().unwrap();
-    assert_eq!(methods.len(), 11);
+    assert_eq!(methods.len(), 12);
     for method in methods {
         let name = method["name"].as_str().unwrap();
         let (changes, runs) = (&method["changes"], method["runs"].as_array().unwrap());
