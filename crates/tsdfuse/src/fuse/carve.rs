@@ -1,26 +1,26 @@
 //! Free space: what rays pass through is not surface, however often it was seen there before.
 //!
 //! Surface that moved on leaves a shell behind, whose voxels the map takes to lie inside of something (F < 0). A ray of a later
-//! scan that passes such a voxel and ends well behind it contradicts this; then both of the voxel's sums are quarterd. F stays
+//! scan that passes such a voxel and ends well behind it contradicts this; then both of the voxel's sums are quartered. F stays
 //! as it is, so that a surface that is contradicted once in a while (by a wrong pose, a wet floor) does not move; one that is
 //! contradicted again and again, and seen no more, is forgotten.
 
-use std::f32::consts::{FRAC_PI_2, TAU};
+use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
 use fearless_simd::{Level, dispatch};
-use glam::{IVec3, Mat3, Vec3};
+use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::{
-    centers::{BLOCK_RADIUS, Row},
+    centers::{BLOCK_RADIUS, Centers, Row},
     gather::ROW,
     placed::Placed,
 };
 use crate::{
-    index::{Anchor, BLOCK_EDGE, BlockIndex},
-    map::{Block, REGION_SHIFT, Voxel, VoxelMap},
+    index::{BLOCK_EDGE, BlockIndex},
+    map::{Block, REGION_SHIFT, Voxel, VoxelMap, WEIGHT_SCALE},
     patch::Patch,
-    sensor::{ScanImage, SensorModel, approx::atan2_f32},
+    sensor::{Projection, ScanImage, SensorModel, approx::atan2_f32},
 };
 
 /// A voxel is inside of something if it is at least this far behind its surface, in voxels.
@@ -34,7 +34,7 @@ const BESIDE: f32 = 0.6;
 const MARGIN: f32 = 2.5;
 
 /// Of less weight than this, a voxel is forgotten: 1/100, a return at 100 m.
-const FORGOTTEN: u32 = crate::map::WEIGHT_SCALE / 100;
+const FORGOTTEN: u32 = WEIGHT_SCALE / 100;
 
 /// A block is looked at in one of this many scans: one that the scan did not update, and one that it did.
 const TURNS: [u32; 2] = [1, 8];
@@ -50,9 +50,8 @@ pub(super) struct Seen<'a> {
     pub(super) image: &'a ScanImage,
     pub(super) placed: &'a Placed,
     pub(super) patches: &'a [Patch],
-    pub(super) anchor: Anchor,
-    /// Turns world axes into the sensor's at the time of the scan's pose.
-    pub(super) sensor_from_world: Mat3,
+    /// In the axes of the sensor at the time of the scan's pose.
+    pub(super) centers: Centers,
 }
 
 /// Keeps its buffers from scan to scan.
@@ -70,10 +69,7 @@ impl Carver {
         self.measure(sensor);
         let this = &*self;
         let config = *map.config();
-        let scale = Scale {
-            voxel_m: config.voxel_size_m as f32,
-            inside: INSIDE * (config.voxel_size_m / config.truncation_m) as f32,
-        };
+        let inside = INSIDE * (config.voxel_size_m / config.truncation_m) as f32;
         let stamp = map.integrations();
         let level = Level::new(); // the vector instructions of this CPU
         let farthest2 = seen
@@ -83,20 +79,20 @@ impl Carver {
             .map(|p| p.length_squared())
             .reduce(|| 0.0, f32::max);
         let farthest = farthest2.sqrt();
-        let region_m = (1 << REGION_SHIFT) as f32 * scale.voxel_m;
+        let region_m = (1 << REGION_SHIFT) as f32 * seen.centers.voxel_size_m;
         let carved: Vec<Vec<BlockIndex>> = map
             .shards
             .par_iter_mut()
             .map(|shard| {
                 let mut carved = Vec::new();
                 let near = |region: IVec3| {
-                    let middle = seen.anchor.offset_of(region << REGION_SHIFT) + 0.5 * region_m;
+                    let middle = seen.centers.anchor.offset_of(region << REGION_SHIFT) + 0.5 * region_m;
                     middle.length() < farthest + region_m
                 };
                 shard.for_each_block_mut(stamp, near, |index, updated, block| {
                     let turns = TURNS[usize::from(updated)];
                     if (index.0.element_sum() as u32).wrapping_add(stamp).is_multiple_of(turns)
-                        && dispatch!(level, _ => this.carve_block(index, block, !updated, seen, &scale))
+                        && dispatch!(level, _ => this.carve_block(index, block, !updated, seen, inside))
                         && !updated
                     {
                         carved.push(index);
@@ -108,21 +104,21 @@ impl Carver {
         carved.concat()
     }
 
-    /// Fills the tables.
+    /// Fills the table of rings.
     fn measure(&mut self, sensor: &SensorModel) {
-        let bins = (std::f32::consts::PI * BINS_PER_RAD) as usize + 1;
-        let elevations = &sensor.elevations_deg;
-        let nearest = |bin: usize| {
-            let degrees = (bin as f32 / BINS_PER_RAD - std::f32::consts::FRAC_PI_2).to_degrees();
-            let above = elevations.partition_point(|e| *e < degrees).min(elevations.len() - 1);
-            let below = above.saturating_sub(1);
-            let nearer = degrees - elevations[below] < elevations[above] - degrees;
-            (if nearer { below } else { above }) as u16
-        };
-        if self.elevations_deg != *elevations {
-            self.rings = (0..bins).map(nearest).collect();
-            self.elevations_deg.clone_from(elevations);
+        if self.elevations_deg == sensor.elevations_deg {
+            return;
         }
+        self.elevations_deg.clone_from(&sensor.elevations_deg);
+        let projection = Projection::new(sensor);
+        let nearest = |bin: usize| {
+            let elevation = bin as f64 / f64::from(BINS_PER_RAD) - std::f64::consts::FRAC_PI_2;
+            projection
+                .row_of(elevation)
+                .round()
+                .clamp(0.0, (sensor.rings() - 1) as f64) as u16
+        };
+        self.rings = (0..=(PI * BINS_PER_RAD) as usize).map(nearest).collect();
     }
 
     /// Bins of elevation and columns in which eight places are seen (sensor axes).
@@ -148,53 +144,46 @@ impl Carver {
 
     /// Whether the ray nearest to the middle of a block ends behind the block.
     #[inline(always)]
-    fn may_be_passed(&self, middle: Vec3, seen: &Seen<'_>, scale: &Scale) -> bool {
-        let p = seen.sensor_from_world * middle;
+    fn may_be_passed(&self, index: BlockIndex, seen: &Seen<'_>) -> bool {
+        let p = seen.centers.of_block(index);
         let (bins, columns) = Self::cells(&[[p.x; ROW], [p.y; ROW], [p.z; ROW]], seen.image.columns());
         let near = seen
             .image
             .get(self.ring(bins[0]), columns[0] as usize % seen.image.columns());
-        let far_m = p.length() + BLOCK_RADIUS * scale.voxel_m;
+        let far_m = p.length() + BLOCK_RADIUS * seen.centers.voxel_size_m;
         near.is_some_and(|i| seen.placed.points[i].length_squared() > far_m * far_m)
     }
 
+    /// Carves a whole block, or voxels of it, that are `inside` by this much in units of F; tells whether any changed.
     #[inline(always)]
-    fn carve_block(&self, index: BlockIndex, block: &mut Block, whole: bool, seen: &Seen<'_>, scale: &Scale) -> bool {
-        let first = seen.anchor.offset_of(index.first_voxel());
-        let middle = first + 0.5 * (BLOCK_EDGE - 1) as f32 * scale.voxel_m;
-        if !self.may_be_passed(middle, seen, scale) {
+    fn carve_block(&self, index: BlockIndex, block: &mut Block, whole: bool, seen: &Seen<'_>, inside: f32) -> bool {
+        if !self.may_be_passed(index, seen) {
             return false;
         }
         let mut passed = 0;
-        let start = seen.sensor_from_world * first;
-        let step = seen.sensor_from_world * scale.voxel_m;
-        for row in 0..(BLOCK_EDGE * BLOCK_EDGE) as usize {
-            let (y, z) = ((row % ROW) as f32, (row / ROW) as f32);
-            let mut inside = 0;
-            for (x, voxel) in block.voxels[ROW * row..][..ROW].iter().enumerate() {
+        let first = seen.centers.anchor.offset_of(index.first_voxel());
+        let rows = seen.centers.rows(index);
+        for row in 0..BLOCK_EDGE * BLOCK_EDGE {
+            let (y, z) = (row % BLOCK_EDGE, row / BLOCK_EDGE);
+            let start = ROW * row as usize;
+            let mut deep = 0;
+            for (x, voxel) in block.voxels[start..start + ROW].iter().enumerate() {
                 // Also false where nothing was observed.
-                let deep = (voxel.distance_sum as f32) < -scale.inside * voxel.weight_sum as f32;
-                inside |= u32::from(deep) << x;
+                let is_deep = (voxel.distance_sum as f32) < -inside * voxel.weight_sum as f32;
+                deep |= u32::from(is_deep) << x;
             }
-            if inside == 0 {
+            if deep == 0 {
                 continue;
             }
-            let start = start + step.y_axis * y + step.z_axis * z;
-            let mut places = [[0.0; ROW]; 3];
-            for (k, places) in places.iter_mut().enumerate() {
-                for (x, place) in places.iter_mut().enumerate() {
-                    *place = start[k] + step.x_axis[k] * x as f32;
-                }
-            }
-            let (bins, columns) = Self::cells(&places, seen.image.columns());
-            for x in (0..ROW).filter(|x| inside >> x & 1 == 1) {
-                let place = first + Vec3::new(x as f32, y, z) * scale.voxel_m;
-                if !is_passed(place, self.ring(bins[x]), columns[x] as usize, seen, scale) {
+            let (bins, columns) = Self::cells(&rows.at(y, z), seen.image.columns());
+            for x in (0..ROW).filter(|x| deep >> x & 1 == 1) {
+                let place = first + IVec3::new(x as i32, y, z).as_vec3() * seen.centers.voxel_size_m;
+                if !is_passed(place, self.ring(bins[x]), columns[x] as usize, seen) {
                     continue;
                 }
                 passed += 1;
                 if !whole {
-                    quarter(&mut block.voxels[ROW * row + x]);
+                    quarter(&mut block.voxels[start + x]);
                 } else if passed == MIN_PASSED {
                     block.voxels.iter_mut().for_each(quarter);
                     return true;
@@ -207,14 +196,15 @@ impl Carver {
 
 /// Whether a ray passes a place, seen in a ring and between a column and the next, and ends well behind it.
 #[inline(always)]
-fn is_passed(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>, scale: &Scale) -> bool {
+fn is_passed(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> bool {
     let columns = seen.image.columns();
-    let margin = MARGIN * scale.voxel_m;
+    let voxel_m = seen.centers.voxel_size_m;
+    let (margin, radius) = (MARGIN * voxel_m, BESIDE * voxel_m);
     for column in [column, column + 1] {
         let Some(i) = seen.image.get(ring, column % columns) else {
             continue;
         };
-        let origin = seen.placed.origins.get(i).copied().unwrap_or(Vec3::ZERO);
+        let origin = seen.placed.origin(i);
         let (end, place) = (seen.placed.points[i] - origin, place - origin);
         let length = end.length();
         let along = place.dot(end) / length;
@@ -224,19 +214,12 @@ fn is_passed(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>, scale: &S
         } else {
             length - along
         };
-        let (beside2, radius) = (place.length_squared() - along * along, BESIDE * scale.voxel_m);
+        let beside2 = place.length_squared() - along * along;
         if along > 0.0 && length - along > margin && above > margin && beside2 < radius * radius {
             return true;
         }
     }
     false
-}
-
-/// Lengths.
-struct Scale {
-    voxel_m: f32,
-    /// [`INSIDE`], in units of F.
-    inside: f32,
 }
 
 /// Leaves a quarter of both sums.

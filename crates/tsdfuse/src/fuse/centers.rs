@@ -30,21 +30,43 @@ impl Centers {
     /// compilers turn into vectors.
     #[inline(always)]
     pub(crate) fn for_each_row(&self, block: BlockIndex, mut visit: impl FnMut(usize, &Row)) {
-        let first = self.rotation * self.anchor.offset_of(block.first_voxel());
-        let step = self.rotation * self.voxel_size_m;
+        let rows = self.rows(block);
         for z in 0..BLOCK_EDGE {
             for y in 0..BLOCK_EDGE {
-                let start = first + step.z_axis * z as f32 + step.y_axis * y as f32;
-                let mut row = [[0.0; ROW]; 3];
-                for (k, row) in row.iter_mut().enumerate() {
-                    let (start, step) = (start[k], step.x_axis[k]);
-                    for (x, coordinate) in row.iter_mut().enumerate() {
-                        *coordinate = start + step * x as f32;
-                    }
-                }
-                visit((BLOCK_EDGE * (y + BLOCK_EDGE * z)) as usize, &row);
+                visit((BLOCK_EDGE * (y + BLOCK_EDGE * z)) as usize, &rows.at(y, z));
             }
         }
+    }
+
+    /// The rows of a block.
+    #[inline(always)]
+    pub(crate) fn rows(&self, block: BlockIndex) -> Rows {
+        Rows {
+            first: self.rotation * self.anchor.offset_of(block.first_voxel()),
+            step: self.rotation * self.voxel_size_m,
+        }
+    }
+}
+
+/// A block's first voxel, and the steps to the next ones.
+pub(crate) struct Rows {
+    first: Vec3,
+    step: Mat3,
+}
+
+impl Rows {
+    /// The row at some y and z.
+    #[inline(always)]
+    pub(crate) fn at(&self, y: i32, z: i32) -> Row {
+        let start = self.first + self.step.z_axis * z as f32 + self.step.y_axis * y as f32;
+        let mut row = [[0.0; ROW]; 3];
+        for (k, row) in row.iter_mut().enumerate() {
+            let (start, step) = (start[k], self.step.x_axis[k]);
+            for (x, coordinate) in row.iter_mut().enumerate() {
+                *coordinate = start + step * x as f32;
+            }
+        }
+        row
     }
 }
 

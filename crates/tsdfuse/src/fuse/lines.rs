@@ -74,24 +74,28 @@ impl Shape {
     #[inline(always)]
     fn reach(self, axis_m: f32, truncation: f32) -> f32 {
         let across = (1.0 - axis_m * axis_m).max(0.0).sqrt();
-        let reach = axis_m.abs() * truncation + across * VOXEL_RADIUS;
-        SLACK
-            + if self == Self::Cylinder {
-                reach
-            } else {
-                reach.min(truncation)
-            }
+        self.capped(axis_m.abs() * truncation + across * VOXEL_RADIUS, truncation)
     }
 
     /// [`Self::reach`] along all axes, or a little more, which takes no roots.
     #[inline(always)]
     fn half_box(self, axis: Vec3, truncation: f32) -> Vec3 {
-        let reach = axis.abs() * truncation + VOXEL_RADIUS;
+        let Vec3 { x, y, z } = axis.abs() * truncation + VOXEL_RADIUS;
+        Vec3::new(
+            self.capped(x, truncation),
+            self.capped(y, truncation),
+            self.capped(z, truncation),
+        )
+    }
+
+    /// The reach of a cylinder as that of this shape, with some slack.
+    #[inline(always)]
+    fn capped(self, reach: f32, truncation: f32) -> f32 {
         SLACK
             + if self == Self::Cylinder {
                 reach
             } else {
-                reach.min(Vec3::splat(truncation))
+                reach.min(truncation)
             }
     }
 

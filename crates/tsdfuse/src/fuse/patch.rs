@@ -18,6 +18,7 @@ use super::{
     FuseError, Integration, Integrator,
     beams::Beams,
     carve::{Carver, Seen},
+    centers::Centers,
     cylinder::{Row, VOXEL_RADIUS},
     depth::world_axes,
     gather::Skip,
@@ -197,8 +198,11 @@ impl Integrator for Patch {
                 image: &self.image,
                 placed,
                 patches,
-                anchor,
-                sensor_from_world: world_axes(scan).transpose(),
+                centers: Centers {
+                    anchor,
+                    rotation: world_axes(scan).transpose(),
+                    voxel_size_m: grid.voxel_size_m() as f32,
+                },
             };
             done.updated_blocks.extend(self.carver.carve(map, &seen, sensor));
         }

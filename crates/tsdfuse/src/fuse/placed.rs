@@ -92,11 +92,17 @@ impl Placed {
         self.points.len()
     }
 
+    /// Where a ray started.
+    #[inline(always)]
+    pub(crate) fn origin(&self, i: usize) -> Vec3 {
+        self.origins.get(i).copied().unwrap_or(Vec3::ZERO)
+    }
+
     /// One return; `None` if it is invalid or outside the grid.
     #[inline(always)]
     pub(crate) fn ray(&self, i: usize) -> Option<Ray> {
         let point = self.points[i];
-        let along = point - self.origins.get(i).copied().unwrap_or(Vec3::ZERO);
+        let along = point - self.origin(i);
         let range_m = along.length();
         // Also false for NaN.
         if !(range_m > 0.0 && range_m < f32::MAX) {

@@ -82,7 +82,7 @@ impl Patches {
     /// none); columns are `column_rad` apart.
     ///
     /// A return's window reaches as far along rings and columns as [`Limits::window_m`] does at its range. If its returns do not
-    /// lie in a plane, halves and quarters of it are tried, so that planes end at edges: of those that are planes the one with
+    /// lie in a plane, halves of it are tried, so that planes end at edges: of those that are planes the one with
     /// the smallest residual is taken.
     pub(crate) fn update(
         &mut self,
