@@ -190,6 +190,57 @@ fn blocks_that_changed_are_told_once() {
 }
 
 #[test]
+fn only_returns_that_stand_alone_reach_far() {
+    // One return in each twentieth column of a ring: none has a neighbour. Rings are 2° apart: 70 cm far away, 4 cm near by.
+    let alone = |range: f32| {
+        let sensor = sensor();
+        let ring = sensor.elevations_deg.iter().position(|e| *e == 1.0).unwrap() as u16;
+        let (sin_e, cos_e) = 1.0_f32.to_radians().sin_cos();
+        let azimuths = (0..sensor.columns).step_by(20);
+        let points: Vec<Vec3> = azimuths
+            .map(|column| {
+                let (sin, cos) = (-std::f32::consts::TAU * (column as f32 + 0.5) / sensor.columns as f32).sin_cos();
+                range * Vec3::new(cos_e * cos, cos_e * sin, sin_e)
+            })
+            .collect();
+        let scan = Scan {
+            rings: Some(vec![ring; points.len()]),
+            points: points.clone(),
+            ..Default::default()
+        };
+        let map = fused(PatchConfig::default(), Some(sensor), &[scan]);
+        let observed = |p: &Vec3, before_m: f32| {
+            let place = (*p - p.normalize() * before_m).as_dvec3() / 0.05;
+            map.voxel(place.floor().as_ivec3()).weight_sum > 0
+        };
+        let before = (0..40).map(|k| 0.01 * k as f32);
+        before
+            .filter(|&m| points.iter().any(|p| observed(p, m)))
+            .fold(0.0, f32::max)
+    };
+    let (far, near) = (alone(20.0), alone(1.2));
+    assert!((0.19..0.26).contains(&far), "{far}");
+    assert!((0.07..0.14).contains(&near), "{near}");
+
+    // A floor has planes.
+    let floor = fused(
+        PatchConfig::default(),
+        Some(sensor()),
+        &[scan(DVec3::new(0.0, 0.0, 1.8), &[])],
+    );
+    let places = (-40..40).flat_map(|x| (100..150).map(move |y| (x, y)));
+    let voxels = places.flat_map(|(x, y)| (-20..20).map(move |z| IVec3::new(x, y, z)));
+    let heights: Vec<i32> = voxels
+        .filter(|&voxel| floor.voxel(voxel).weight_sum > 0)
+        .map(|voxel| voxel.z)
+        .collect();
+    assert!(
+        heights.len() > 300 && heights.iter().all(|z| (-3..3).contains(z)),
+        "{heights:?}"
+    );
+}
+
+#[test]
 fn scans_without_beams_are_fused_as_well() {
     let scans: Vec<Scan> = (0..3).map(|k| common::scan(k, 60_000)).collect();
     let mut map = VoxelMap::new(MapConfig::default()).unwrap();

@@ -45,6 +45,8 @@ use crate::{
 pub(crate) struct Line {
     pub(crate) center: GridPoint,
     pub(crate) axis: Vec3,
+    /// How far from the centre, along the line, voxels are updated at most, in voxels.
+    pub(crate) reach: f32,
     pub(crate) weight: f32,
 }
 
@@ -54,16 +56,16 @@ pub(crate) trait Rule: Sync {
     const SHAPE: Shape;
 
     /// Prepares for one line; what is returned tells for voxels near it which of them are updated (none farther than √3/2 from
-    /// the line, nor than μ along it), with what distance over μ, and with what weight.
+    /// the line, nor than its reach along it), with what distance over μ, and with what weight.
     fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>);
 }
 
-/// Where voxels lie whose centres are at most √3/2 from a line and at most μ from its centre along it.
+/// Where voxels lie whose centres are at most √3/2 from a line and at most as far from its centre along it as it reaches.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Shape {
     /// All of these.
     Cylinder,
-    /// Those at most μ from its centre.
+    /// Those at most that far from its centre.
     RoundedCylinder,
     /// Those of the latter that the line passes through.
     Pierced,
@@ -72,30 +74,26 @@ pub(crate) enum Shape {
 impl Shape {
     /// How far from the centre voxels may lie along an axis of the grid, along which the line's axis is `axis_m`.
     #[inline(always)]
-    fn reach(self, axis_m: f32, truncation: f32) -> f32 {
+    fn reach(self, axis_m: f32, reach: f32) -> f32 {
         let across = (1.0 - axis_m * axis_m).max(0.0).sqrt();
-        self.capped(axis_m.abs() * truncation + across * VOXEL_RADIUS, truncation)
+        self.capped(axis_m.abs() * reach + across * VOXEL_RADIUS, reach)
     }
 
     /// [`Self::reach`] along all axes, or a little more, which takes no roots.
     #[inline(always)]
-    fn half_box(self, axis: Vec3, truncation: f32) -> Vec3 {
-        let Vec3 { x, y, z } = axis.abs() * truncation + VOXEL_RADIUS;
-        Vec3::new(
-            self.capped(x, truncation),
-            self.capped(y, truncation),
-            self.capped(z, truncation),
-        )
+    fn half_box(self, axis: Vec3, reach: f32) -> Vec3 {
+        let Vec3 { x, y, z } = axis.abs() * reach + VOXEL_RADIUS;
+        Vec3::new(self.capped(x, reach), self.capped(y, reach), self.capped(z, reach))
     }
 
-    /// The reach of a cylinder as that of this shape, with some slack.
+    /// The extent of a cylinder as that of this shape, with some slack.
     #[inline(always)]
-    fn capped(self, reach: f32, truncation: f32) -> f32 {
+    fn capped(self, extent: f32, reach: f32) -> f32 {
         SLACK
             + if self == Self::Cylinder {
-                reach
+                extent
             } else {
-                reach.min(truncation)
+                extent.min(reach)
             }
     }
 
@@ -189,7 +187,6 @@ impl Lines {
     ) -> Integration {
         let start = Instant::now();
         let (stamp, limit) = map.begin_integration();
-        let truncation = map.config().truncation_vox();
         let level = self.level;
         self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
             lane.clear();
@@ -197,13 +194,19 @@ impl Lines {
                 let line = make(i as usize);
                 lane.counts.count(line.map(|_| ()));
                 if let Ok(line) = line {
-                    lane.push(&line, R::SHAPE, truncation);
+                    lane.push(&line, R::SHAPE);
                     lane.lines.push(line);
                 }
             });
         });
         let find_secs = start.elapsed().as_secs_f64();
-        let lanes = &self.lanes;
+        let touched = self.update(map, stamp, limit, rule);
+        Counts::sum(touched, find_secs, self.lanes.iter().map(|lane| &lane.counts))
+    }
+
+    /// The second pass: updates the voxels about all lines, and tells which blocks they are in.
+    fn update<R: Rule>(&self, map: &mut VoxelMap, stamp: u32, limit: u32, rule: &R) -> Vec<BlockIndex> {
+        let Self { level, lanes } = self;
         let shards = map.shards.par_iter_mut().enumerate();
         let touched: Vec<Vec<BlockIndex>> = shards
             .map(|(s, shard)| {
@@ -224,8 +227,8 @@ impl Lines {
                     let number = writer.shard.region_to_update(index, stamp);
                     let region = Region { index, number };
                     writer.slots.fill(NO_SLOT);
-                    dispatch!(level, simd => for &number in numbers {
-                        update(simd, &lines[number as usize], truncation, rule, region, &mut writer);
+                    dispatch!(*level, simd => for &number in numbers {
+                        update(simd, &lines[number as usize], rule, region, &mut writer);
                     });
                     writer.ask(region);
                 }
@@ -233,7 +236,7 @@ impl Lines {
                 writer.touched
             })
             .collect();
-        Counts::sum(touched.concat(), find_secs, self.lanes.iter().map(|lane| &lane.counts))
+        touched.concat()
     }
 }
 
@@ -249,21 +252,21 @@ impl Lane {
 
     /// Puts the line that comes next to each region that it may reach into.
     #[inline(always)]
-    fn push(&mut self, line: &Line, shape: Shape, truncation: f32) {
+    fn push(&mut self, line: &Line, shape: Shape) {
         let GridPoint { voxel, fraction } = line.center;
-        let half_box = shape.half_box(line.axis, truncation);
+        let half_box = shape.half_box(line.axis, line.reach);
         let (low, high) = (fraction - half_box, fraction + half_box - 1.0);
         let first = (voxel + IVec3::new(round(low.x), round(low.y), round(low.z))) >> REGION_SHIFT;
         let last = (voxel + IVec3::new(round(high.x), round(high.y), round(high.z))) >> REGION_SHIFT;
         if first == last {
             self.push_to(first);
         } else {
-            self.push_to_each(first, last, line, truncation);
+            self.push_to_each(first, last, line);
         }
     }
 
     #[inline(never)]
-    fn push_to_each(&mut self, first: IVec3, last: IVec3, line: &Line, truncation: f32) {
+    fn push_to_each(&mut self, first: IVec3, last: IVec3, line: &Line) {
         let far = 0.5 * 3.0_f32.sqrt() * REGION_EDGE as f32 + VOXEL_RADIUS + SLACK;
         for z in first.z..=last.z {
             for y in first.y..=last.y {
@@ -272,7 +275,7 @@ impl Lane {
                     let middle = (region << REGION_SHIFT) + REGION_EDGE / 2 - line.center.voxel;
                     let middle = middle.as_vec3() - line.center.fraction;
                     let along = middle.dot(line.axis);
-                    if along.abs() <= far + truncation && (middle - along * line.axis).length() <= far {
+                    if along.abs() <= far + line.reach && (middle - along * line.axis).length() <= far {
                         self.push_to(region);
                     }
                 }
@@ -401,14 +404,14 @@ impl Writer<'_> {
 
 /// Updates the voxels of a line within a region.
 #[inline(always)]
-fn update<S: Simd, R: Rule>(simd: S, line: &Line, truncation: f32, rule: &R, region: Region, writer: &mut Writer<'_>) {
+fn update<S: Simd, R: Rule>(simd: S, line: &Line, rule: &R, region: Region, writer: &mut Writer<'_>) {
     let a = line.axis.abs();
     if a.x >= a.y && a.x >= a.z {
-        update_along::<S, R, 0, 1, 2>(simd, line, truncation, rule, region, writer);
+        update_along::<S, R, 0, 1, 2>(simd, line, rule, region, writer);
     } else if a.y >= a.z {
-        update_along::<S, R, 1, 2, 0>(simd, line, truncation, rule, region, writer);
+        update_along::<S, R, 1, 2, 0>(simd, line, rule, region, writer);
     } else {
-        update_along::<S, R, 2, 0, 1>(simd, line, truncation, rule, region, writer);
+        update_along::<S, R, 2, 0, 1>(simd, line, rule, region, writer);
     }
 }
 
@@ -417,7 +420,6 @@ fn update<S: Simd, R: Rule>(simd: S, line: &Line, truncation: f32, rule: &R, reg
 fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize>(
     simd: S,
     line: &Line,
-    truncation: f32,
     rule: &R,
     region: Region,
     writer: &mut Writer<'_>,
@@ -430,7 +432,7 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
     let wide_u = R::SHAPE.wide([axis[M], axis[U], axis[W]]);
     let wide_w = R::SHAPE.wide([axis[M], axis[W], axis[U]]);
     let beside = BESIDE[wide_w - 2][wide_u - 2];
-    let reach = R::SHAPE.reach(axis[M], truncation);
+    let reach = R::SHAPE.reach(axis[M], line.reach);
     let mut plane = round(fraction[M] - reach).max(-center[M]);
     let last = round(fraction[M] + reach - 1.0).min(REGION_EDGE - 1 - center[M]);
     while plane <= last {
@@ -524,9 +526,9 @@ mod tests {
     use std::collections::BTreeMap;
 
     /// Every voxel of a cube, tested one by one.
-    fn literal<S: Simd>(simd: S, line: &Line, truncation: f32, rule: &impl Rule) -> Vec<(IVec3, i32, i32)> {
+    fn literal<S: Simd>(simd: S, line: &Line, rule: &impl Rule) -> Vec<(IVec3, i32, i32)> {
         let rule = rule.of(simd, line);
-        let reach = truncation.ceil() as i32 + 3;
+        let reach = line.reach.ceil() as i32 + 3;
         let cube = || -reach..=reach;
         let mut all = Vec::new();
         for (x, y, z) in cube().flat_map(|x| cube().flat_map(move |y| cube().map(move |z| (x, y, z)))) {
@@ -547,10 +549,10 @@ mod tests {
         all
     }
 
-    fn literal_sums(lines: &[Line], truncation: f32, rule: &impl Rule) -> BTreeMap<[i32; 3], Voxel> {
+    fn literal_sums(lines: &[Line], rule: &impl Rule) -> BTreeMap<[i32; 3], Voxel> {
         let mut sums = BTreeMap::<_, Voxel>::new();
         for line in lines {
-            for (voxel, weight, distance) in dispatch!(Level::new(), simd => literal(simd, line, truncation, rule)) {
+            for (voxel, weight, distance) in dispatch!(Level::new(), simd => literal(simd, line, rule)) {
                 if weight > 0 {
                     sums.entry(voxel.to_array()).or_default().add_sums(weight, distance);
                 }
@@ -578,27 +580,32 @@ mod tests {
         sums
     }
 
-    fn with_truncation(truncation: f32) -> MapConfig {
+    fn config() -> MapConfig {
         MapConfig {
             voxel_size_m: 0.125, // an exact number
-            truncation_m: f64::from(truncation) * 0.125,
+            truncation_m: 0.5,
             ..Default::default()
         }
     }
 
-    fn check(lines: &[Line], truncation: f32, rule: &impl Rule) -> Result<(), TestCaseError> {
-        let (map, done) = fused(Level::new(), lines, with_truncation(truncation), rule);
-        prop_assert_eq!(sums_of(&map), literal_sums(lines, truncation, rule));
+    fn check(lines: &[Line], rule: &impl Rule) -> Result<(), TestCaseError> {
+        let (map, done) = fused(Level::new(), lines, config(), rule);
+        prop_assert_eq!(sums_of(&map), literal_sums(lines, rule));
         let mut touched = done.updated_blocks;
         touched.sort();
         prop_assert_eq!(touched, map.block_indices());
         Ok(())
     }
 
-    fn any_line() -> impl Strategy<Value = Line> {
-        (any_cylinder(Just(VOXEL_RADIUS)), 0.0..1.0f32).prop_map(|(c, weight)| Line {
+    fn short() -> impl Strategy<Value = f32> {
+        prop_oneof![1.0..9.0f32, Just(4.0), Just(8.0)]
+    }
+
+    fn any_line(reach: impl Strategy<Value = f32>) -> impl Strategy<Value = Line> {
+        (any_cylinder(Just(VOXEL_RADIUS)), reach, 0.0..1.0f32).prop_map(|(c, reach, weight)| Line {
             center: c.center,
             axis: c.axis,
+            reach,
             weight,
         })
     }
@@ -606,23 +613,20 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(300))]
         #[test]
-        fn updates_are_those_of_the_literal_test(
-            lines in proptest::collection::vec(any_line(), 1..12),
-            truncation in prop_oneof![1.0..9.0f32, Just(4.0), Just(8.0)],
-        ) {
-            check(&lines, truncation, &Euclidean { truncation })?;
-            check(&lines, truncation, &Projective { truncation })?;
-            check(&lines, truncation, &AlongNormal { truncation })?;
-            check(&lines, truncation, &AlongPatch { truncation })?;
+        fn updates_are_those_of_the_literal_test(lines in proptest::collection::vec(any_line(short()), 1..12)) {
+            check(&lines, &Euclidean)?;
+            check(&lines, &Projective)?;
+            check(&lines, &AlongNormal)?;
+            check(&lines, &AlongPatch { truncation: 5.0 })?;
         }
     }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(5))]
         #[test]
-        fn long_lines_cross_many_regions(line in any_line(), truncation in 30.0..64.0f32) {
-            check(&[line], truncation, &Euclidean { truncation })?;
-            check(&[line], truncation, &AlongNormal { truncation })?;
+        fn long_lines_cross_many_regions(line in any_line(30.0..64.0f32)) {
+            check(&[line], &Euclidean)?;
+            check(&[line], &AlongNormal)?;
         }
     }
 
@@ -636,9 +640,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn all_instructions_give_the_same_map(lines in proptest::collection::vec(any_line(), 1..30)) {
-            let rule = Euclidean { truncation: 4.0 };
-            let of = |level, lines: &[Line]| fused(level, lines, with_truncation(4.0), &rule).0;
+        fn all_instructions_give_the_same_map(lines in proptest::collection::vec(any_line(short()), 1..30)) {
+            let of = |level, lines: &[Line]| fused(level, lines, config(), &Euclidean).0;
             let maps: Vec<VoxelMap> = levels().into_iter().map(|level| of(level, &lines)).collect();
             prop_assert!(maps.iter().all(|map| *map == maps[0]));
             // And the comparison would see one that is missing.
@@ -654,14 +657,12 @@ mod tests {
                 fraction: Vec3::splat(0.25),
             },
             axis: Vec3::X,
+            reach: 4.0,
             weight: 0.3,
         };
         let limited = |max_weight| {
-            let config = MapConfig {
-                max_weight,
-                ..with_truncation(4.0)
-            };
-            sums_of(&fused(Level::new(), &[line; 100], config, &AlongNormal { truncation: 4.0 }).0)
+            let config = MapConfig { max_weight, ..config() };
+            sums_of(&fused(Level::new(), &[line; 100], config, &AlongNormal).0)
         };
         let (few, all) = (limited(2.0), limited(1000.0));
         assert!(few.keys().eq(all.keys()) && few.len() > 8);

@@ -73,7 +73,7 @@ impl Integrator for Normals {
         );
         let prepare_secs = start.elapsed().as_secs_f64();
 
-        let truncation = map.config().truncation_vox();
+        let reach = map.config().truncation_vox();
         let (placed, normals) = (&self.placed, &self.normals);
         let integration = self.lines.run(
             map,
@@ -94,10 +94,11 @@ impl Integrator for Normals {
                 Ok(Line {
                     center: ray.end,
                     axis: normal,
+                    reach,
                     weight,
                 })
             },
-            &AlongNormal { truncation },
+            &AlongNormal,
         );
         Ok(Integration {
             prepare_secs,
@@ -106,16 +107,14 @@ impl Integrator for Normals {
     }
 }
 
-pub(super) struct AlongNormal {
-    pub(super) truncation: f32,
-}
+pub(super) struct AlongNormal;
 
 impl Rule for AlongNormal {
     const SHAPE: Shape = Shape::Cylinder;
 
     #[inline(always)]
     fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
-        let truncation = self.truncation;
+        let truncation = line.reach;
         let (weight, inverse) = (f32x8::splat(simd, line.weight), 1.0 / truncation);
         #[inline(always)]
         move |v| (v.within(VOXEL_RADIUS, truncation), v.along * inverse, weight) // (5.14)(5.15)(5.16)

@@ -51,13 +51,16 @@ const BETWEEN_WEIGHT: f32 = 0.5;
 /// Weight of a return without a plane.
 const RAY_WEIGHT: f32 = 0.3;
 
+/// How far the line of a return reaches that has no plane and no neighbour with one: this many times the distance to the next ring.
+const LONE_REACH: f32 = 1.5;
+
 /// Options of [`Patch`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PatchConfig {
     /// Half the edge of the windows that planes are fitted in, metres.
     pub window_m: f32,
-    /// The standard deviation of ranges, metres.
+    /// The standard deviation of ranges, metres; 0: estimated from each scan, 1 to 3 cm.
     pub noise_m: f32,
     /// Surface is closed between neighbouring returns no farther apart than this, metres; 0: nowhere.
     pub max_gap_m: f32,
@@ -69,7 +72,7 @@ impl Default for PatchConfig {
     fn default() -> Self {
         Self {
             window_m: 0.12,
-            noise_m: 0.02,
+            noise_m: 0.0,
             max_gap_m: 1.0,
             carve: true,
         }
@@ -84,7 +87,7 @@ impl PatchConfig {
     pub fn validate(&self) -> Result<(), FuseError> {
         let lengths = [
             ("window_m", self.window_m, 1e-3),
-            ("noise_m", self.noise_m, 1e-4),
+            ("noise_m", self.noise_m, 0.0),
             ("max_gap_m", self.max_gap_m, 0.0),
         ];
         match lengths
@@ -158,12 +161,23 @@ impl Integrator for Patch {
         self.patches
             .update(&self.image, &placed.points, &placed.origins, column_rad, &limits);
         let (returns, patches) = (placed.len(), &self.patches.all);
+        let image = &self.image;
         let is_ray = |i: usize| i < returns && !patches[i].is_some();
         self.order.sort(grid, anchor, patches.len(), |i| {
             if is_ray(i) { placed.points[i] } else { patches[i].center }
         });
         let prepare_secs = start.elapsed().as_secs_f64();
 
+        let truncation = map.config().truncation_vox();
+        let reach = FRONT.min(truncation);
+        // In voxels. At a return that stands alone nothing else tells where the surface is.
+        let reach_of_ray = |i: usize, range_m: f32| match image.place_of(i) {
+            Some((ring, column)) if self.patches.is_alone(image, ring, column) => {
+                let spacing_m = range_m * image.ring_gap_beside(ring);
+                (LONE_REACH * spacing_m / grid.voxel_size_m() as f32).clamp(reach, truncation)
+            }
+            _ => reach,
+        };
         let mut done = self.lines.run(
             map,
             &self.order.numbers,
@@ -174,6 +188,7 @@ impl Integrator for Patch {
                     return Ok(Line {
                         center: ray.end,
                         axis: -ray.direction,
+                        reach: reach_of_ray(i, ray.range_m),
                         weight: RAY_WEIGHT * (1.0 / ray.range_m).min(1.0),
                     });
                 }
@@ -184,12 +199,11 @@ impl Integrator for Patch {
                 Ok(Line {
                     center: anchor.locate(patch.center).ok_or(Skip::OutsideGrid)?,
                     axis: patch.normal,
+                    reach,
                     weight: kind * cosine * (1.0 / range_m).min(1.0),
                 })
             },
-            &AlongPatch {
-                truncation: map.config().truncation_vox(),
-            },
+            &AlongPatch { truncation },
         );
         // Those between returns are none.
         done.fused_returns = done.fused_returns.saturating_sub((patches.len() - returns) as u64);
@@ -221,11 +235,13 @@ impl Rule for AlongPatch {
     #[inline(always)]
     fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let (inverse, weight) = (1.0 / self.truncation, line.weight);
-        let (front, behind) = (FRONT.min(self.truncation), BEHIND.min(self.truncation));
-        let end = BEHIND + 0.5;
+        let front = line.reach;
+        let behind = front * (BEHIND / FRONT);
+        let end = behind + 0.5;
+        let full = front * (FULL_BEHIND / FRONT);
         #[inline(always)]
         move |v| {
-            let known = ((v.along + end) * (1.0 / (end - FULL_BEHIND))).max(0.0).min(1.0);
+            let known = ((v.along + end) * (1.0 / (end - full))).max(0.0).min(1.0);
             let inside = v.within(VOXEL_RADIUS, front) & v.along.simd_ge(-behind);
             (inside, v.along * inverse, known * weight)
         }

@@ -73,22 +73,22 @@ impl Integrator for Raycast {
         self.placed.sort(map.grid());
         let prepare_secs = start.elapsed().as_secs_f64();
 
-        let truncation = map.config().truncation_vox();
+        let reach = map.config().truncation_vox();
         let (lines, placed) = (&mut self.lines, &self.placed);
         let integration = match self.config.distance {
             Distance::Euclidean => lines.run(
                 map,
                 &placed.order.numbers,
                 #[inline(always)]
-                |i| along(placed, i),
-                &Euclidean { truncation },
+                |i| along(placed, i, reach),
+                &Euclidean,
             ),
             Distance::Projective => lines.run(
                 map,
                 &placed.order.numbers,
                 #[inline(always)]
-                |i| along(placed, i),
-                &Projective { truncation },
+                |i| along(placed, i, reach),
+                &Projective,
             ),
         };
         Ok(Integration {
@@ -98,28 +98,27 @@ impl Integrator for Raycast {
     }
 }
 
-/// The line along a ray.
+/// The line along a ray, which reaches as far as the truncation.
 #[inline(always)]
-fn along(placed: &Placed, i: usize) -> Result<Line, Skip> {
+fn along(placed: &Placed, i: usize, reach: f32) -> Result<Line, Skip> {
     let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
     Ok(Line {
         center: ray.end,
         axis: ray.direction,
+        reach,
         weight: (1.0 / ray.range_m).min(1.0), // (5.8)
     })
 }
 
 /// The thesis's form.
-pub(super) struct Euclidean {
-    pub(super) truncation: f32,
-}
+pub(super) struct Euclidean;
 
 impl Rule for Euclidean {
     const SHAPE: Shape = Shape::RoundedCylinder;
 
     #[inline(always)]
     fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
-        let (truncation, inverse) = (self.truncation, 1.0 / self.truncation);
+        let (truncation, inverse) = (line.reach, 1.0 / line.reach);
         let weight = f32x8::splat(simd, line.weight);
         #[inline(always)]
         move |v| {
@@ -131,16 +130,14 @@ impl Rule for Euclidean {
 }
 
 /// The related work's form.
-pub(super) struct Projective {
-    pub(super) truncation: f32,
-}
+pub(super) struct Projective;
 
 impl Rule for Projective {
     const SHAPE: Shape = Shape::Pierced;
 
     #[inline(always)]
     fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
-        let (truncation, inverse) = (self.truncation, 1.0 / self.truncation);
+        let (truncation, inverse) = (line.reach, 1.0 / line.reach);
         // Fully known down to 1.5 voxels behind the surface, enough for the noise of ranges to cancel, or half the band.
         let slope = 1.0 / (truncation - (0.5 * truncation).min(1.5));
         let (axis, weight) = (line.axis, line.weight);

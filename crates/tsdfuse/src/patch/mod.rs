@@ -39,7 +39,7 @@ impl Patch {
 pub(crate) struct Limits {
     /// Half the edge of the windows, metres.
     pub(crate) window_m: f32,
-    /// The standard deviation of ranges, metres.
+    /// The standard deviation of ranges, metres; 0: it is estimated.
     pub(crate) noise_m: f32,
     /// Neighbours farther apart than this get patches between them, at such distances, …
     pub(crate) step_m: f32,
@@ -47,7 +47,10 @@ pub(crate) struct Limits {
     pub(crate) max_gap_m: f32,
 }
 
-/// Returns are off their plane by at most this many standard deviations in the mean (root of the squares), …
+/// How rough a surface may be beside the noise (root of the mean of squares), metres.
+const ROUGHNESS_M: f32 = 0.01;
+
+/// Returns are off their plane by at most this many times what is expected, in the mean (root of the squares), …
 const MAX_RESIDUAL: f32 = 1.5;
 
 /// … and the return itself by this many.
@@ -56,14 +59,26 @@ const MAX_OFF: f32 = 2.5;
 /// A plane takes returns that are spread twice as far along it, in its narrower direction, as they are off it.
 const MIN_SPREAD: f32 = 2.0;
 
-/// The least sine of the angle between a ray and a plane.
-const MIN_SINE: f32 = 0.03;
+/// The least cosine of the angle between a ray and a plane's normal.
+const MIN_COSINE: f32 = 0.03;
 
 /// Fewer returns make no plane that could be told from their noise.
 const MIN_RETURNS: f32 = 5.0;
 
 /// Windows reach this many rings up and down at most.
 const MAX_RINGS: usize = 8;
+
+/// The noise is estimated from every such return, …
+const SAMPLE: usize = 16;
+
+/// … whose window has this many returns, …
+const MIN_TELLING: f32 = 9.0;
+
+/// … and is met by the ray at an angle of at least this cosine to its normal; …
+const FACING: f32 = 0.5;
+
+/// … and is taken to be no less and no more than this, metres.
+const NOISE_M: [f32; 2] = [0.01, 0.03];
 
 /// Returns that one thread takes at a time.
 const PART: usize = 2048;
@@ -73,6 +88,7 @@ const PART: usize = 2048;
 pub(crate) struct Patches {
     sums: WindowSums,
     between: Between,
+    noise: Vec<f32>,
     /// By return; then those between returns.
     pub(crate) all: Vec<Patch>,
 }
@@ -95,7 +111,7 @@ impl Patches {
         self.sums.update(image, points);
         self.all.clear();
         self.all.resize(points.len(), Patch::default());
-        let scan = Scan {
+        let mut scan = Scan {
             image,
             points,
             origins,
@@ -104,11 +120,29 @@ impl Patches {
             column_rad,
         };
         let level = Level::new(); // the vector instructions of this CPU
+        if limits.noise_m == 0.0 {
+            scan.limits.noise_m = scan.noise_m(level, &mut self.noise);
+        }
+        let (scan, limits) = (&scan, &scan.limits);
         let parts = self.all.par_chunks_mut(PART).enumerate();
         parts.for_each_init(Vec::new, |rest, (part, out)| {
             dispatch!(level, _ => scan.find(part * PART, out, rest));
         });
         self.between.append_to(&mut self.all, image, limits);
+    }
+
+    /// Whether no return beside this one in the image has a plane, nor this one.
+    #[inline(always)]
+    pub(crate) fn is_alone(&self, image: &ScanImage, ring: usize, column: usize) -> bool {
+        let columns = image.columns();
+        for ring in ring.saturating_sub(1)..=ring + 1 {
+            for column in [column + columns - 1, column, column + 1] {
+                if image.get(ring, column % columns).is_some_and(|i| self.all[i].is_some()) {
+                    return false;
+                }
+            }
+        }
+        true
     }
 }
 
@@ -129,6 +163,44 @@ struct Found {
 }
 
 impl Scan<'_> {
+    /// The standard deviation of ranges: how far returns are off the planes of their windows, along their rays. Only windows that face
+    /// the sensor tell, and those with the smaller residuals: the others are no planes. `all` is a buffer.
+    fn noise_m(&self, level: Level, all: &mut Vec<f32>) -> f32 {
+        all.clear();
+        all.resize(self.points.len().div_ceil(SAMPLE), f32::INFINITY);
+        all.par_chunks_mut(LANES).enumerate().for_each(|(group, out)| {
+            dispatch!(level, _ => self.noise2(group * LANES * SAMPLE, out));
+        });
+        all.retain(|noise2| noise2.is_finite());
+        let [least, most] = NOISE_M;
+        if all.is_empty() {
+            return most;
+        }
+        let third = all.len() / 3;
+        let (_, noise2, _) = all.select_nth_unstable_by(third, f32::total_cmp);
+        noise2.sqrt().clamp(least, most)
+    }
+
+    /// The squared noise in the windows of each [`SAMPLE`]-th return from number `first` on, where they tell.
+    #[inline(always)]
+    fn noise2(&self, first: usize, out: &mut [f32]) {
+        let mut moments = Moments::NONE;
+        for lane in 0..out.len() {
+            let i = first + lane * SAMPLE;
+            if let Some(around) = self.around(i) {
+                moments.set(lane, &self.sums.of(around.window(WHOLE)), self.points[i]);
+            }
+        }
+        let planes = moments.planes();
+        for (lane, out) in out.iter_mut().enumerate() {
+            let ray = self.ray(first + lane * SAMPLE);
+            let cosine = ray.dot(planes.normal.get(lane)) / ray.length();
+            if planes.count[lane] >= MIN_TELLING && cosine.abs() >= FACING {
+                *out = planes.residual2[lane] / (cosine * cosine);
+            }
+        }
+    }
+
     /// The patches of the returns from number `first` on; `rest` is a buffer.
     #[inline(always)]
     fn find(&self, first: usize, out: &mut [Patch], rest: &mut Vec<u32>) {
@@ -191,7 +263,7 @@ impl Scan<'_> {
         let (ring, column) = self.image.place_of(i)?;
         let range = self.ray(i).length();
         let last = self.image.rings() - 1;
-        let gap = self.image.ring_gap_tangent(ring.min(last.saturating_sub(1)));
+        let gap = self.image.ring_gap_beside(ring);
         let cells = |angle: f32, most: usize| {
             let cells = self.limits.window_m / (range * angle.max(1e-4));
             ((cells + 0.5) as usize).clamp(1, most)
@@ -218,23 +290,24 @@ impl Scan<'_> {
             patches: [Patch::default(); LANES],
             residual2: [f32::INFINITY; LANES],
         };
-        let noise = self.limits.noise_m;
-        let limit = (MAX_RESIDUAL * noise) * (MAX_RESIDUAL * noise);
+        let noise2 = self.limits.noise_m * self.limits.noise_m;
         for (lane, &i) in of.iter().enumerate() {
-            let residual2 = planes.residual2[lane];
-            let spread2 = planes.spread2[lane];
             // Also false for NaN.
-            let is_plane = planes.count[lane] >= MIN_RETURNS
-                && residual2 <= limit
-                && spread2 >= MIN_SPREAD * MIN_SPREAD * residual2.max(0.25 * limit);
-            if i == NONE || !is_plane {
+            if i == NONE || !(planes.count[lane] >= MIN_RETURNS) {
                 continue;
             }
             let i = i as usize;
             let (ray, normal) = (self.ray(i), planes.normal.get(lane));
-            let facing = ray.dot(normal);
-            let off = normal.dot(planes.mean.get(lane));
-            if facing.abs() >= MIN_SINE * ray.length() && off.abs() <= MAX_OFF * noise {
+            let (facing, off) = (ray.dot(normal), normal.dot(planes.mean.get(lane)));
+            let cosine2 = facing * facing / ray.length_squared();
+            let (residual2, spread2) = (planes.residual2[lane], planes.spread2[lane]);
+            // What is expected across the plane: of the noise, what does not lie along it.
+            let expected2 = noise2 * cosine2 + ROUGHNESS_M * ROUGHNESS_M;
+            let is_plane = residual2 <= MAX_RESIDUAL * MAX_RESIDUAL * expected2
+                && off * off <= MAX_OFF * MAX_OFF * expected2
+                && spread2 >= MIN_SPREAD * MIN_SPREAD * residual2.max(noise2)
+                && cosine2 >= MIN_COSINE * MIN_COSINE;
+            if is_plane {
                 found.patches[lane] = Patch {
                     center: self.points[i] + normal * off,
                     normal: if facing > 0.0 { -normal } else { normal },
@@ -283,6 +356,47 @@ impl Around {
                 self.column - reach(left, self.columns),
                 self.column + reach(right, self.columns),
             ],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::{
+        model,
+        testing::{random, scan_room},
+    };
+
+    #[test]
+    fn noise_is_that_along_rays() {
+        let sensor = model("os1-64").unwrap();
+        let (points, rings) = scan_room(&sensor, |_| 0.0);
+        let mut image = ScanImage::new();
+        for (noise_m, told) in [(0.0, 0.01), (0.015, 0.015), (0.025, 0.025), (0.1, 0.03)] {
+            let noisy = points.iter().enumerate().map(|(i, p)| {
+                let uniform = 12.0_f32.sqrt() * (random(i) - 0.5); // of variance 1
+                *p + p.normalize() * noise_m * uniform
+            });
+            let points: Vec<Vec3> = noisy.collect();
+            image.update(&points, &rings, &sensor);
+            let mut sums = WindowSums::default();
+            sums.update(&image, &points);
+            let scan = Scan {
+                image: &image,
+                points: &points,
+                origins: &[],
+                sums: &sums,
+                limits: Limits {
+                    window_m: 0.12,
+                    noise_m: 0.0,
+                    step_m: 0.1,
+                    max_gap_m: 1.0,
+                },
+                column_rad: sensor.column_width_rad() as f32,
+            };
+            let found = scan.noise_m(Level::new(), &mut Vec::new());
+            assert!((found - told).abs() <= 0.1 * told, "{noise_m}: {found}");
         }
     }
 }

@@ -127,6 +127,11 @@ impl ScanImage {
         self.ring_gap_tangents.get(ring).copied().unwrap_or(0.0)
     }
 
+    /// As [`Self::ring_gap_tangent`]; of the uppermost ring, that to the one below.
+    pub(crate) fn ring_gap_beside(&self, ring: usize) -> f32 {
+        self.ring_gap_tangent(ring.min(self.rings().saturating_sub(2)))
+    }
+
     /// tan Δφ between two columns.
     pub(crate) fn column_width_tangent(&self) -> f32 {
         self.column_width_tangent
