@@ -2,6 +2,7 @@
 
 mod args;
 mod growing;
+mod load;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -16,6 +17,8 @@ use tsdfuse_io::{Dataset, ReadScan};
 pub(crate) use args::Args;
 use growing::Growing;
 pub(crate) use growing::GrowthReport;
+pub(crate) use load::LoadedMap;
+use load::Loading;
 
 use crate::config::{RunConfig, Suggested};
 use crate::exit::{Outcome, one_line};
@@ -31,16 +34,24 @@ use crate::settings::{Settings, split};
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let start = Instant::now();
     let settings = &args.settings;
-    let layers = settings.layers(args.method.as_deref())?;
+    let mut layers = settings.layers(args.method.as_deref())?;
     args.check_outputs()?;
     settings.set_threads()?;
     let dataset = settings.open()?;
     let (indices, _) = split(&settings.indices(dataset.len())?, args.hold_out)?;
     let suggested = Suggested::by(&dataset);
+    let loading = args.load_map.as_deref().map(Loading::open).transpose()?;
+    loading.iter().try_for_each(|loading| loading.suggest(&mut layers))?;
     let config = layers.resolve(&suggested)?;
 
     let mut fusion = Fusion::new(settings, &config, suggested.sensor.as_ref())?;
-    fusion.growing = args.growing(&config.mesh);
+    let mut loaded_map = None;
+    if let Some(loading) = loading {
+        loading.check(&config, suggested.sensor.is_some())?;
+        let (map, loaded) = loading.map()?;
+        (fusion.map, loaded_map) = (map, Some(loaded));
+    }
+    fusion.growing = args.growing(&config.mesh, &fusion.map);
     let fusing = Instant::now();
     fusion.fuse_all(&dataset, indices)?;
     let finish = fusion.finish();
@@ -72,6 +83,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
             finish,
             seconds: fusing_seconds,
         },
+        loaded_map,
         map: MapReport::of(&fusion.map),
         scans: fusion.scans,
         skipped_scans: fusion.skipped,

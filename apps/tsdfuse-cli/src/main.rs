@@ -8,6 +8,7 @@ mod exit;
 mod fuse;
 mod info;
 mod machine;
+mod map;
 mod mesh;
 mod output;
 mod progress;
@@ -31,6 +32,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Fuse(Box<fuse::Args>),
+    Map(map::Args),
     Mesh(mesh::Args),
     Render(Box<render::Args>),
     Simulate(simulate::Args),
@@ -47,6 +49,7 @@ fn main() -> ExitCode {
     };
     exit::code(match &cli.command {
         Command::Fuse(args) => fuse::run(args),
+        Command::Map(args) => map::run(args),
         Command::Mesh(args) => mesh::run(args),
         Command::Render(args) => render::run(args),
         Command::Simulate(args) => simulate::run(args),

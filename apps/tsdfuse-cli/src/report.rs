@@ -13,7 +13,7 @@ use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Mesh, SensorModel, VoxelMap};
 
 use crate::config::RunConfig;
-use crate::fuse::GrowthReport;
+use crate::fuse::{GrowthReport, LoadedMap};
 use crate::progress::say;
 use crate::render::ViewReport;
 
@@ -41,6 +41,8 @@ pub(crate) struct Report {
     pub(crate) skipped_scans: Vec<SkippedScan>,
     /// Sums over all scans.
     pub(crate) totals: Totals,
+    /// The map that was continued.
+    pub(crate) loaded_map: Option<LoadedMap>,
     /// The map after the last scan.
     pub(crate) map: MapReport,
     /// The file that the map was saved to.
@@ -205,6 +207,12 @@ impl SavedMap {
             seconds: start.elapsed().as_secs_f64(),
         })
     }
+
+    /// A line for people.
+    pub(crate) fn say_where(&self) {
+        let Self { path, bytes, .. } = self;
+        say(format_args!("  wrote    {}, {}", path.display(), BinaryBytes(*bytes)));
+    }
 }
 
 impl MeshReport {
@@ -276,9 +284,7 @@ impl Report {
             )),
             self.wall_seconds
         ));
-        if let Some(SavedMap { path, bytes, .. }) = saved {
-            say(format_args!("  wrote    {}, {}", path.display(), BinaryBytes(*bytes)));
-        }
+        saved.inspect(|map| map.say_where());
         mesh.inspect(|mesh| mesh.say_where());
         self.preview.as_ref().inspect(|view| view.say_where());
     }

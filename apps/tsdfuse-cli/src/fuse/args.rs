@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::ArgGroup;
 use clap::builder::PossibleValuesParser;
+use tsdfuse::VoxelMap;
 use tsdfuse::fuse::Method;
 use tsdfuse::mesh::MeshConfig;
 
@@ -18,7 +19,8 @@ Examples:
   tsdfuse fuse pandaset/002 -o street.ply
   tsdfuse fuse kitti/sequences/00 -o street.ply --scans 0..80 --voxel-size 0.1 --truncation 0.3
   tsdfuse fuse pandaset/002 -o street.ply --mesh-every 10
-  tsdfuse fuse pandaset/002 --save-map street.tsdf
+  tsdfuse fuse pandaset/002 --save-map street.tsdf --scans 0..40
+  tsdfuse fuse pandaset/002 --load-map street.tsdf -o street.ply --scans 40..80
   tsdfuse fuse street -o street.ply --config run.toml --set raycast.distance=projective
 
 Settings: defaults < --config < --set < flags. A report holds all of them.";
@@ -36,6 +38,9 @@ pub(crate) struct Args {
     /// Save the map, for `tsdfuse mesh` and `tsdfuse render`; --output may then be missing.
     #[arg(long, value_name = "FILE")]
     pub(super) save_map: Option<PathBuf>,
+    /// Continue a saved map, with its voxels.
+    #[arg(long, value_name = "FILE")]
+    pub(super) load_map: Option<PathBuf>,
     /// A picture of the whole result, .png.
     #[arg(long, value_name = "FILE")]
     pub(super) preview: Option<PathBuf>,
@@ -57,8 +62,13 @@ pub(crate) struct Args {
 
 impl Args {
     /// What keeps the mesh file up to date, if the user wants that.
-    pub(super) fn growing(&self, config: &MeshConfig) -> Option<Growing> {
-        Some(Growing::new(self.mesh_every? as usize, self.output.clone()?, config))
+    pub(super) fn growing(&self, config: &MeshConfig, map: &VoxelMap) -> Option<Growing> {
+        Some(Growing::new(
+            self.mesh_every? as usize,
+            self.output.clone()?,
+            config,
+            map,
+        ))
     }
 
     /// Finds out before the work, not after it, that its results could not be written.
