@@ -11,6 +11,7 @@ use tsdfuse::fuse::{Method, RoldaoForm};
 use tsdfuse::map::MapError;
 use tsdfuse_io::map_file::Reader;
 
+use super::paging::Paging;
 use crate::config::{Layers, RunConfig};
 use crate::exit::Usage;
 use crate::progress::note;
@@ -73,7 +74,7 @@ impl Loading {
                 "{path}: its format, version 1, does not tell how many scans it holds; rays erase in other turns than without a break"
             ));
         }
-        if !knows_sensor && !matches!(method, Method::Raycast | Method::Depth | Method::Roldao) {
+        if !knows_sensor && config.wants_sensor() {
             note(format_args!(
                 "the sensor is guessed from the first of these scans, not of those in {path}; --sensor makes sure it is the same"
             ));
@@ -81,14 +82,20 @@ impl Loading {
         Ok(())
     }
 
-    pub(super) fn map(self) -> Result<(VoxelMap, LoadedMap)> {
+    /// Reads the map, into a store if there is one.
+    pub(super) fn read(self, map: &mut VoxelMap, paging: Option<&mut Paging>) -> Result<LoadedMap> {
         let integrations = self.reader.tells_integrations().then(|| self.reader.integrations());
-        let map = self.reader.map()?;
-        let loaded = LoadedMap {
+        let blocks = match paging {
+            None => {
+                *map = self.reader.map()?;
+                map.block_count()
+            }
+            Some(paging) => paging.load(map, self.reader)?,
+        };
+        Ok(LoadedMap {
             path: self.path,
             integrations,
-            blocks: map.block_count(),
-        };
-        Ok((map, loaded))
+            blocks,
+        })
     }
 }

@@ -16,6 +16,7 @@ fn help_texts_are_as_agreed() {
         ("map_crop", &["map", "crop", "--help"]),
         ("map_transform", &["map", "transform", "--help"]),
         ("mesh", &["mesh", "--help"]),
+        ("resume", &["resume", "--help"]),
         ("render", &["render", "--help"]),
         ("simulate", &["simulate", "--help"]),
         ("info", &["info", "--help"]),

@@ -3,5 +3,6 @@
 #![allow(clippy::unwrap_used)] // test helpers
 
 mod crop;
+mod reach;
 mod region;
 mod warp;
