@@ -15,7 +15,7 @@ pub use cloud::parse as parse_cloud;
 pub use mesh::{parse as parse_mesh, read as read_mesh};
 pub use stream::Stream;
 pub(crate) use write::{has_normals, in_chunks, one_color_each};
-pub use write::{write, write_colored_to, write_to};
+pub use write::{write, write_colored_to, write_to, write_vertices};
 
 #[cfg(test)]
 mod tests;

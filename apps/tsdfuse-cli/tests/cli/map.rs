@@ -205,6 +205,29 @@ fn maps_are_cropped_resampled_moved_and_repaired() {
 }
 
 #[test]
+fn maps_are_exported_as_arrays_and_as_points() {
+    let folder = Folder::new();
+    let set = folder.simulate("sphere", "sphere", "pandar64", 6, &[]);
+    let [map, volume, points] = ["sphere.tsdf", "sphere.npz", "points.ply"].map(|name| folder.text(name));
+    tsdfuse(&["fuse", &set, "--save-map", &map]).succeeded();
+    let observed = tsdfuse(&["info", &map, "--json"]).succeeded().json()["observed_voxels"]
+        .as_u64()
+        .unwrap();
+    tsdfuse(&["map", "export", &map, "-o", &volume]).succeeded();
+    let bytes = fs::read(&volume).unwrap();
+    // Twenty bytes a voxel, and the frames of five arrays.
+    assert!((bytes.len() as u64 - 20 * observed) < 2000 && bytes.starts_with(b"PK"));
+    tsdfuse(&["map", "export", &map, "-o", &points]).succeeded();
+    let cloud = tsdfuse_io::geometry::read(&points).unwrap();
+    let tsdfuse_io::geometry::Geometry::Cloud(cloud) = cloud else {
+        panic!("no cloud")
+    };
+    assert!(cloud.len() > 1000 && cloud.iter().all(|p| (p.length() - 2.0).abs() < 0.1));
+    let line = tsdfuse(&["map", "export", &map, "-o", &folder.text("a.vdb")]).failed(2);
+    assert!(line.contains("a.vdb: a map is exported as .npz or .ply"), "{line}");
+}
+
+#[test]
 fn a_saved_map_is_described() {
     let folder = Folder::new();
     let set = folder.simulate("sphere", "sphere", "pandar64", 6, &[]);

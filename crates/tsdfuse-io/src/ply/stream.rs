@@ -111,7 +111,7 @@ impl Stream {
         let (vertices, triangles) = self.counts();
         let path = self.path.clone();
         atomic::write(path, |out| {
-            layout.header(out, vertices, triangles)?;
+            layout.header(out, vertices, Some(triangles))?;
             let mut waiting = self.vertices.read()?;
             match self.double {
                 true => drop(io::copy(&mut waiting, out)?),

@@ -35,6 +35,20 @@ pub fn write_to(out: impl Write, mesh: &Mesh) -> io::Result<()> {
     write_parts(out, mesh, None)
 }
 
+/// Writes the vertices of a mesh, with their normals if it has them, as a cloud of points, to a file which appears when it is complete.
+///
+/// # Errors
+/// Names the file and what the system says.
+pub fn write_vertices(path: impl AsRef<Path>, mesh: &Mesh) -> Result<()> {
+    crate::atomic::write(path, |out| {
+        let layout = Layout::of(mesh)?;
+        layout.header(out, mesh.vertices.len() as u64, None)?;
+        in_chunks(out, mesh.vertices.len(), |i, bytes| {
+            layout.vertex(mesh.vertices[i], mesh.normals.get(i), bytes);
+        })
+    })
+}
+
 /// As [`write_to`], with `red green blue` of each vertex.
 ///
 /// # Errors
@@ -46,11 +60,10 @@ pub fn write_colored_to(out: impl Write, mesh: &Mesh, colors: &[[u8; 3]]) -> io:
 
 fn write_parts(mut out: impl Write, mesh: &Mesh, colors: Option<&[[u8; 3]]>) -> io::Result<()> {
     let layout = Layout {
-        double: mesh.vertices.iter().any(|v| is_far(*v)),
-        normals: has_normals(mesh)?,
         colors: colors.is_some(),
+        ..Layout::of(mesh)?
     };
-    layout.header(&mut out, mesh.vertices.len() as u64, mesh.triangles.len() as u64)?;
+    layout.header(&mut out, mesh.vertices.len() as u64, Some(mesh.triangles.len() as u64))?;
     in_chunks(&mut out, mesh.vertices.len(), |i, bytes| {
         layout.vertex(mesh.vertices[i], mesh.normals.get(i), bytes);
         bytes.extend(colors.iter().flat_map(|colors| colors[i]));
@@ -74,7 +87,16 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    pub(super) fn header(self, out: &mut impl Write, vertices: u64, triangles: u64) -> io::Result<()> {
+    /// Of a mesh without colours.
+    fn of(mesh: &Mesh) -> io::Result<Self> {
+        Ok(Self {
+            double: mesh.vertices.iter().any(|v| is_far(*v)),
+            normals: has_normals(mesh)?,
+            colors: false,
+        })
+    }
+
+    pub(super) fn header(self, out: &mut impl Write, vertices: u64, triangles: Option<u64>) -> io::Result<()> {
         let coordinate = if self.double { "double" } else { "float" };
         write!(out, "ply\nformat binary_little_endian 1.0\ncomment tsdfuse, metres\n")?;
         writeln!(out, "element vertex {vertices}")?;
@@ -87,8 +109,13 @@ impl Layout {
         for channel in ["red", "green", "blue"].iter().filter(|_| self.colors) {
             writeln!(out, "property uchar {channel}")?;
         }
-        writeln!(out, "element face {triangles}")?;
-        write!(out, "property list uchar int vertex_indices\nend_header\n")
+        if let Some(triangles) = triangles {
+            write!(
+                out,
+                "element face {triangles}\nproperty list uchar int vertex_indices\n"
+            )?;
+        }
+        writeln!(out, "end_header")
     }
 
     /// Appends a vertex, without its colour.
@@ -211,6 +238,19 @@ mod tests {
         assert_eq!(bytes.len(), end + 3 * 27 + 13);
         let refused = write_colored_to(std::io::sink(), &mesh, &[[0; 3]]).unwrap_err();
         assert_eq!(refused.to_string(), "the mesh has 3 vertices but 1 colours");
+    }
+
+    #[test]
+    fn vertices_are_a_cloud() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.ply");
+        write_vertices(&path, &triangle(2.0)).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        assert!(!String::from_utf8_lossy(&bytes).contains("face"));
+        match crate::geometry::read(&path).unwrap() {
+            crate::geometry::Geometry::Cloud(points) => assert_eq!(points, triangle(2.0).vertices),
+            other => panic!("{other:?}"),
+        }
     }
 
     #[test]

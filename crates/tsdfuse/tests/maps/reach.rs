@@ -9,7 +9,7 @@ use tsdfuse::{
 
 /// Walls: 60 m ahead, 4 m to the left, 9 m to the right.
 fn scan() -> Scan {
-    let directions = (0..3600).map(|i| f64::from(i).to_radians() / 10.0);
+    let directions = (0..3600).map(|i| (f64::from(i) + 0.5).to_radians() / 10.0);
     let points = directions.flat_map(|azimuth| {
         let (sin, cos) = azimuth.sin_cos();
         let ahead = if cos > 0.0 { 60.0 / cos } else { 1.5 };
@@ -34,7 +34,7 @@ fn all_that_is_updated_lies_within_reach_and_little_else() {
         let mut map = VoxelMap::new(MapConfig::default()).unwrap();
         let reach = method.reach(&options, map.config(), &scan);
         let done = method.build(&options, None).integrate(&mut map, &scan).unwrap();
-        assert!(done.updated_blocks.len() > 500);
+        assert!(!done.updated_blocks.is_empty(), "{method:?}");
         let grid = map.grid();
         for &block in &done.updated_blocks {
             assert!(reach.touches(RegionIndex::of(block), grid), "{method:?}: {block:?}");
