@@ -56,6 +56,11 @@ impl RunConfig {
         }
     }
 
+    /// Whether the method wants to know the sensor, and guesses it from the first scan if nobody says.
+    pub(crate) fn wants_sensor(&self) -> bool {
+        !matches!(self.method, Method::Raycast | Method::Depth | Method::Roldao)
+    }
+
     fn validate(&self) -> Result<(), Usage> {
         self.map.validate().map_err(Usage::new)?;
         self.methods().validate().map_err(Usage::new)?;

@@ -9,7 +9,7 @@ use crate::progress::say;
 /// What the exit codes mean, for `--help`.
 pub(crate) const CODES: &str = "\
 Exit codes: 0 the result is complete, 1 something failed, 2 the command line or the \
-configuration is wrong, 3 the result is there but scans were skipped.";
+configuration is wrong, 3 the result is there but lacks what was named: scans that were skipped, blocks that were lost.";
 
 /// How a run that did not fail ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,6 +18,8 @@ pub(crate) enum Outcome {
     Complete,
     /// Some scans could not be used; they were named.
     ScansSkipped,
+    /// Some blocks of a damaged map could not be recovered; what was damaged was named.
+    BlocksLost,
 }
 
 /// The command line or the configuration asks for what cannot be.
@@ -43,7 +45,7 @@ impl std::error::Error for Usage {}
 pub(crate) fn code(result: anyhow::Result<Outcome>) -> ExitCode {
     match result {
         Ok(Outcome::Complete) => ExitCode::SUCCESS,
-        Ok(Outcome::ScansSkipped) => ExitCode::from(3),
+        Ok(Outcome::ScansSkipped | Outcome::BlocksLost) => ExitCode::from(3),
         // Who closed the pipe knows.
         Err(error) if is_broken_pipe(&error) => ExitCode::from(1),
         Err(error) => {

@@ -8,6 +8,7 @@ mod exit;
 mod fuse;
 mod info;
 mod machine;
+mod map;
 mod mesh;
 mod output;
 mod progress;
@@ -31,7 +32,9 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Fuse(Box<fuse::Args>),
+    Map(map::Args),
     Mesh(mesh::Args),
+    Resume(fuse::ResumeArgs),
     Render(Box<render::Args>),
     Simulate(simulate::Args),
     Info(info::Args),
@@ -47,7 +50,9 @@ fn main() -> ExitCode {
     };
     exit::code(match &cli.command {
         Command::Fuse(args) => fuse::run(args),
+        Command::Map(args) => map::run(args),
         Command::Mesh(args) => mesh::run(args),
+        Command::Resume(args) => fuse::resume(args),
         Command::Render(args) => render::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),

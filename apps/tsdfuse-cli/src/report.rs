@@ -6,14 +6,14 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use indicatif::{BinaryBytes, HumanCount};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use tsdfuse::fuse::Skipped;
 use tsdfuse::scan::Dropped;
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Mesh, SensorModel, VoxelMap};
 
 use crate::config::RunConfig;
-use crate::fuse::GrowthReport;
+use crate::fuse::{GrowthReport, LoadedMap, PagingReport};
 use crate::progress::say;
 use crate::render::ViewReport;
 
@@ -41,12 +41,16 @@ pub(crate) struct Report {
     pub(crate) skipped_scans: Vec<SkippedScan>,
     /// Sums over all scans.
     pub(crate) totals: Totals,
+    /// The map that was continued.
+    pub(crate) loaded_map: Option<LoadedMap>,
     /// The map after the last scan.
     pub(crate) map: MapReport,
     /// The file that the map was saved to.
     pub(crate) saved_map: Option<SavedMap>,
     /// The surface, if it was asked for.
     pub(crate) mesh: Option<MeshReport>,
+    /// What was done for a map that is not all in memory.
+    pub(crate) paging: Option<PagingReport>,
     /// What became of the mesh file before that, if it was kept up to date.
     pub(crate) growth: Option<GrowthReport>,
     /// The picture of the result, if it was asked for.
@@ -83,7 +87,7 @@ pub(crate) struct ScanReport {
 }
 
 /// What can be added over scans.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Sums {
     /// Reading and decoding, in the background.
     pub(crate) read: f64,
@@ -116,7 +120,7 @@ pub(crate) struct Totals {
 }
 
 /// A scan that could not be used.
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct SkippedScan {
     pub(crate) name: String,
     pub(crate) reason: String,
@@ -199,11 +203,22 @@ impl SavedMap {
     pub(crate) fn write(map: &VoxelMap, path: &Path) -> Result<Self> {
         let start = Instant::now();
         tsdfuse_io::map_file::write(path, map)?;
-        Ok(Self {
+        Ok(Self::written(path, start))
+    }
+
+    /// Of a file that was written since `start`.
+    pub(crate) fn written(path: &Path, start: Instant) -> Self {
+        Self {
             path: path.to_owned(),
             bytes: std::fs::metadata(path).map_or(0, |file| file.len()),
             seconds: start.elapsed().as_secs_f64(),
-        })
+        }
+    }
+
+    /// A line for people.
+    pub(crate) fn say_where(&self) {
+        let Self { path, bytes, .. } = self;
+        say(format_args!("  wrote    {}, {}", path.display(), BinaryBytes(*bytes)));
     }
 }
 
@@ -276,9 +291,7 @@ impl Report {
             )),
             self.wall_seconds
         ));
-        if let Some(SavedMap { path, bytes, .. }) = saved {
-            say(format_args!("  wrote    {}, {}", path.display(), BinaryBytes(*bytes)));
-        }
+        saved.inspect(|map| map.say_where());
         mesh.inspect(|mesh| mesh.say_where());
         self.preview.as_ref().inspect(|view| view.say_where());
     }

@@ -39,15 +39,17 @@ pub fn write(path: impl AsRef<Path>, write: impl FnOnce(&mut BufWriter<File>) ->
 }
 
 /// A file that is removed unless it gets its final name.
-struct Temporary(PathBuf);
+#[derive(Debug)]
+pub(crate) struct Temporary(PathBuf);
 
 impl Temporary {
-    fn create(target: &Path) -> io::Result<(Self, File)> {
+    /// Makes one beside `target`, to write and to read.
+    pub(crate) fn create(target: &Path) -> io::Result<(Self, File)> {
         let name = target.file_name().unwrap_or_default().to_string_lossy();
         let mut attempt = 0;
         loop {
             let path = target.with_file_name(format!(".{name}.{}-{attempt}.tmp", std::process::id()));
-            match OpenOptions::new().write(true).create_new(true).open(&path) {
+            match OpenOptions::new().read(true).write(true).create_new(true).open(&path) {
                 Err(e) if e.kind() == io::ErrorKind::AlreadyExists && attempt < 1000 => attempt += 1,
                 file => return file.map(|file| (Self(path), file)),
             }

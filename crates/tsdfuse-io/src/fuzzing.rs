@@ -19,9 +19,20 @@ pub fn pickle(bytes: &[u8]) {
     }
 }
 
-/// A saved map.
+/// A saved map, and what can be had of it. What can be read can be repaired, to the same map.
+///
+/// # Panics
+/// If it cannot.
 pub fn map(bytes: &[u8]) {
-    let _ = map_file::parse(Path::new(PATH), bytes);
+    // As they are, and as the groups of a file with right checksums.
+    for file in [bytes.to_vec(), map_file::forged(bytes)] {
+        let read = map_file::parse(Path::new(PATH), file.as_slice());
+        let repaired = map_file::repair_bytes(Path::new(PATH), &file);
+        if let Ok(read) = read {
+            let same = repaired.is_ok_and(|r| r.map == read && r.damage.places.is_empty());
+            assert!(same, "what can be read can be repaired");
+        }
+    }
 }
 
 /// A PCD cloud.

@@ -21,6 +21,7 @@ pub mod kitti;
 pub mod kitti_raw;
 pub mod map_file;
 pub mod mesh;
+pub mod npz;
 pub mod obj;
 pub mod pandaset;
 mod pcd;

@@ -8,12 +8,14 @@ mod body;
 mod cloud;
 mod header;
 mod mesh;
+mod stream;
 mod write;
 
 pub use cloud::parse as parse_cloud;
 pub use mesh::{parse as parse_mesh, read as read_mesh};
+pub use stream::Stream;
 pub(crate) use write::{has_normals, in_chunks, one_color_each};
-pub use write::{write, write_colored_to, write_to};
+pub use write::{write, write_colored_to, write_to, write_vertices};
 
 #[cfg(test)]
 mod tests;

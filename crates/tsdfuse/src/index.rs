@@ -41,18 +41,37 @@ impl BlockIndex {
     }
 }
 
-impl Ord for BlockIndex {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        let key = |b: &Self| (b.0.z, b.0.y, b.0.x);
-        key(self).cmp(&key(other))
+/// The integer coordinates of a region: a cube of 8³ blocks, which maps are divided into. Ordered by z, then y, then x.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct RegionIndex(pub IVec3);
+
+impl RegionIndex {
+    /// The region that holds a block.
+    #[inline]
+    pub fn of(BlockIndex(block): BlockIndex) -> Self {
+        Self(block >> 3)
     }
 }
 
-impl PartialOrd for BlockIndex {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
+macro_rules! ordered_by_z_y_x {
+    ($index:ty) => {
+        impl Ord for $index {
+            fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+                let key = |i: &Self| (i.0.z, i.0.y, i.0.x);
+                key(self).cmp(&key(other))
+            }
+        }
+
+        impl PartialOrd for $index {
+            fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+                Some(self.cmp(other))
+            }
+        }
+    };
 }
+
+ordered_by_z_y_x!(BlockIndex);
+ordered_by_z_y_x!(RegionIndex);
 
 /// The number of a voxel within its block, 0..512.
 #[inline]

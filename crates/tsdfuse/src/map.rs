@@ -11,17 +11,24 @@
 //! The table is split into [`SHARDS`] parts by the spatial hash (5.1); a part is only ever touched by one thread at a time,
 //! so that there are neither locks nor atomics (see [`crate::fuse`]).
 
+mod crop;
+mod merge;
+mod region;
+mod warp;
+
 use std::sync::Arc;
 
-use glam::IVec3;
+use glam::{DVec3, IVec3};
 use hashbrown::HashMap;
 use rayon::prelude::*;
 use rustc_hash::FxBuildHasher;
 use serde::{Deserialize, Serialize};
 
+pub use region::{BlockPool, RegionBlocks};
+
 use crate::{
-    index::{BLOCK_VOXELS, BlockIndex, Grid, local_number, round},
-    memory::{Blocks, Pool},
+    index::{BLOCK_VOXELS, BlockIndex, Grid, RegionIndex, local_number, round},
+    memory::{Blocks, Pool, SLAB_BLOCKS},
 };
 
 /// Fixed-point scale of weights and of weighted distances: an update of weight 1 adds 32 768. A weight of 0.01 (a return at
@@ -117,6 +124,24 @@ pub enum MapError {
         /// Its sums.
         voxel: Voxel,
     },
+    /// Maps can be put together only if their voxels mean the same.
+    #[error("the maps differ in {name}: {a} and {b}")]
+    Differ {
+        /// The field.
+        name: &'static str,
+        /// Its value in one map.
+        a: f64,
+        /// And in the other.
+        b: f64,
+    },
+    /// A box has its lower corner below its upper one.
+    #[error("the box from {low} to {high} holds nothing")]
+    Box {
+        /// The lower corner.
+        low: DVec3,
+        /// The upper one.
+        high: DVec3,
+    },
 }
 
 impl MapConfig {
@@ -140,6 +165,22 @@ impl MapConfig {
             return Err(MapError::MaxWeight(self.max_weight));
         }
         Ok(())
+    }
+
+    /// Checks that voxels of two maps mean the same.
+    ///
+    /// # Errors
+    /// [`MapError::Differ`] names the first field that differs.
+    pub fn check_same(&self, other: &Self) -> Result<(), MapError> {
+        let fields = [
+            ("voxel_size_m", self.voxel_size_m, other.voxel_size_m),
+            ("truncation_m", self.truncation_m, other.truncation_m),
+            ("max_weight", self.max_weight.into(), other.max_weight.into()),
+        ];
+        match fields.into_iter().find(|(_, a, b)| a != b) {
+            Some((name, a, b)) => Err(MapError::Differ { name, a, b }),
+            None => Ok(()),
+        }
     }
 
     /// μ/κ, the truncation in voxels.
@@ -204,6 +245,21 @@ pub struct Block {
     pub voxels: [Voxel; BLOCK_VOXELS],
 }
 
+impl Block {
+    /// Never observed.
+    pub const EMPTY: Self = Self {
+        voxels: [Voxel {
+            weight_sum: 0,
+            distance_sum: 0,
+        }; BLOCK_VOXELS],
+    };
+
+    /// Whether any voxel was observed.
+    pub fn is_observed(&self) -> bool {
+        self.voxels.iter().any(|v| v.weight_sum > 0)
+    }
+}
+
 /// Of a block that is not there.
 pub(crate) const NO_SLOT: u32 = u32::MAX;
 
@@ -228,7 +284,6 @@ pub(crate) struct Shard {
     /// The number of each region that holds a block, or could have got one.
     numbers: HashMap<IVec3, u32, FxBuildHasher>,
     regions: Vec<Region>,
-    indices: Vec<BlockIndex>,
     blocks: Blocks,
 }
 
@@ -238,9 +293,46 @@ struct Region {
     index: IVec3,
     /// The slots of its blocks, or [`NO_SLOT`].
     slots: [u32; REGION_BLOCKS],
+    /// How many there are, and the slot of the one that was made last. They lie in slabs that are this region's alone.
+    blocks: u32,
+    last: u32,
     /// The integration that updated it last, and a bit for each block that it updated.
     stamp: u32,
     updated: [u64; REGION_BLOCKS / 64],
+}
+
+impl Region {
+    fn new(index: IVec3) -> Self {
+        Self {
+            index,
+            slots: [NO_SLOT; REGION_BLOCKS],
+            blocks: 0,
+            last: NO_SLOT,
+            stamp: 0,
+            updated: [0; REGION_BLOCKS / 64],
+        }
+    }
+
+    /// The slot of a block, which is made if it is not there.
+    #[inline]
+    fn slot_or_insert(&mut self, block: usize, blocks: &mut Blocks) -> u32 {
+        let slot = &mut self.slots[block];
+        if *slot == NO_SLOT {
+            self.last = match (self.blocks as usize).is_multiple_of(SLAB_BLOCKS) {
+                true => blocks.push(),
+                false => self.last + 1,
+            };
+            self.blocks += 1;
+            *slot = self.last;
+        }
+        *slot
+    }
+
+    /// Its blocks: numbers in the region, and slots.
+    fn there(&self) -> impl Iterator<Item = (usize, u32)> {
+        let slots = self.slots.iter().copied().enumerate();
+        slots.filter(|(_, slot)| *slot != NO_SLOT)
+    }
 }
 
 impl Shard {
@@ -256,31 +348,15 @@ impl Shard {
     pub(crate) fn slot_or_insert(&mut self, index: BlockIndex) -> u32 {
         let (region, block) = in_region(index);
         let number = self.number_or_insert(region);
-        self.slot_or_insert_in(number, block)
+        self.regions[number].slot_or_insert(block, &mut self.blocks)
     }
 
     /// The number of a region, which is made if it is not there.
     fn number_or_insert(&mut self, index: IVec3) -> usize {
         *self.numbers.entry(index).or_insert_with(|| {
-            self.regions.push(Region {
-                index,
-                slots: [NO_SLOT; REGION_BLOCKS],
-                stamp: 0,
-                updated: [0; REGION_BLOCKS / 64],
-            });
+            self.regions.push(Region::new(index));
             (self.regions.len() - 1) as u32
         }) as usize
-    }
-
-    fn slot_or_insert_in(&mut self, number: usize, block: usize) -> u32 {
-        let region = &mut self.regions[number];
-        let slot = &mut region.slots[block];
-        if *slot == NO_SLOT {
-            *slot = self.blocks.len() as u32;
-            self.indices.push(block_of_region(region.index, block));
-            self.blocks.push();
-        }
-        *slot
     }
 
     /// The slot of a block, if it is there.
@@ -304,8 +380,8 @@ impl Shard {
 
     /// The slot of a block that this integration now updates; the first time, the block is added to `touched`.
     pub(crate) fn slot_to_update(&mut self, number: usize, block: usize, touched: &mut Vec<BlockIndex>) -> u32 {
-        let slot = self.slot_or_insert_in(number, block);
         let region = &mut self.regions[number];
+        let slot = region.slot_or_insert(block, &mut self.blocks);
         let (word, bit) = (&mut region.updated[block / 64], 1 << (block % 64));
         if *word & bit == 0 {
             *word |= bit;
@@ -322,7 +398,7 @@ impl Shard {
         mut visit: impl FnMut(BlockIndex, bool, &mut Block),
     ) {
         for region in self.regions.iter().filter(|region| is_wanted(region.index)) {
-            for (number, &slot) in region.slots.iter().enumerate().filter(|(_, slot)| **slot != NO_SLOT) {
+            for (number, slot) in region.there() {
                 let updated = region.stamp == stamp && region.updated[number / 64] >> (number % 64) & 1 == 1;
                 visit(
                     block_of_region(region.index, number),
@@ -333,9 +409,14 @@ impl Shard {
         }
     }
 
-    /// The indices of all blocks, by slot.
-    pub(crate) fn indices(&self) -> &[BlockIndex] {
-        &self.indices
+    /// The indices of all blocks, in any order.
+    pub(crate) fn indices(&self) -> impl Iterator<Item = BlockIndex> {
+        let regions = self.regions.iter();
+        regions.flat_map(|region| region.there().map(|(number, _)| block_of_region(region.index, number)))
+    }
+
+    fn block_count(&self) -> usize {
+        self.regions.iter().map(|region| region.blocks as usize).sum()
     }
 
     /// The slots of a region's blocks, or [`NO_SLOT`]; `None` if it never had any.
@@ -377,6 +458,7 @@ impl Shard {
 pub struct VoxelMap {
     config: MapConfig,
     pub(crate) shards: Vec<Shard>,
+    pool: Arc<Pool>,
     integrations: u32,
 }
 
@@ -391,6 +473,7 @@ impl VoxelMap {
         Ok(Self {
             config,
             shards: (0..SHARDS).map(|_| Shard::of(&pool)).collect(),
+            pool,
             integrations: 0,
         })
     }
@@ -401,13 +484,7 @@ impl VoxelMap {
     /// [`MapError`] names the block if it is there already, lies outside of the grid, or holds sums that no observations
     /// have; the map is as before then.
     pub fn insert_block(&mut self, index: BlockIndex, block: Block) -> Result<(), MapError> {
-        if index.0.to_array().iter().any(|i| i.unsigned_abs() > MAX_BLOCK) {
-            return Err(MapError::Outside { block: index });
-        }
-        if let Some((number, &voxel)) = block.voxels.iter().enumerate().find(|(_, v)| !v.is_possible()) {
-            let block = index;
-            return Err(MapError::Voxel { block, number, voxel });
-        }
+        check_block(index, &block)?;
         let shard = &mut self.shards[shard_of(index)];
         if shard.slot(index).is_some() {
             return Err(MapError::Occupied { block: index });
@@ -423,9 +500,15 @@ impl VoxelMap {
         (self.integrations, weight_limit(self.config.max_weight))
     }
 
-    /// The number of the last integration.
-    pub(crate) fn integrations(&self) -> u32 {
+    /// How many scans (or images made of scans) were fused so far. Methods that do something once in so many scans go by
+    /// it, so that a map that is continued elsewhere must take it along.
+    pub fn integrations(&self) -> u32 {
         self.integrations
+    }
+
+    /// Continues to count integrations from this number.
+    pub fn set_integrations(&mut self, integrations: u32) {
+        self.integrations = integrations;
     }
 
     /// What the map was made with.
@@ -453,14 +536,31 @@ impl VoxelMap {
 
     /// The indices of all blocks, sorted.
     pub fn block_indices(&self) -> Vec<BlockIndex> {
-        let mut all: Vec<_> = self.shards.iter().flat_map(|s| s.indices.iter().copied()).collect();
+        let mut all: Vec<_> = self.shards.iter().flat_map(Shard::indices).collect();
         all.par_sort_unstable();
         all
     }
 
+    /// The regions that hold blocks, sorted.
+    pub fn regions(&self) -> Vec<RegionIndex> {
+        let all = self.shards.iter().flat_map(|s| &s.regions);
+        let mut all: Vec<_> = all.filter(|r| r.blocks > 0).map(|r| RegionIndex(r.index)).collect();
+        all.par_sort_unstable();
+        all
+    }
+
+    /// The blocks of a region, sorted.
+    pub fn blocks_of(&self, RegionIndex(region): RegionIndex) -> impl Iterator<Item = (BlockIndex, &Block)> {
+        let shard = &self.shards[shard_of_region(region)];
+        let slots = (0..).zip(shard.region(region).into_iter().flatten());
+        slots
+            .filter(|(_, slot)| **slot != NO_SLOT)
+            .map(move |(number, &slot)| (block_of_region(region, number), &shard.blocks[slot as usize]))
+    }
+
     /// How many blocks hold observations.
     pub fn block_count(&self) -> usize {
-        self.shards.iter().map(|s| s.blocks.len()).sum()
+        self.shards.iter().map(Shard::block_count).sum()
     }
 
     /// How many voxels were observed.
@@ -476,7 +576,7 @@ impl VoxelMap {
     pub fn memory_bytes(&self) -> usize {
         let shard = |s: &Shard| {
             let table = s.numbers.allocation_size() + s.regions.len() * size_of::<Region>();
-            s.blocks.memory_bytes() + s.indices.len() * size_of::<BlockIndex>() + table
+            s.blocks.memory_bytes() + table
         };
         self.shards.iter().map(shard).sum()
     }
@@ -489,6 +589,21 @@ impl PartialEq for VoxelMap {
         self.config == other.config
             && indices == other.block_indices()
             && indices.par_iter().all(|&i| self.block(i) == other.block(i))
+    }
+}
+
+/// Whether a block lies within the grid, and observations can sum up to its voxels.
+fn check_block(index: BlockIndex, block: &Block) -> Result<(), MapError> {
+    if index.0.to_array().iter().any(|i| i.unsigned_abs() > MAX_BLOCK) {
+        return Err(MapError::Outside { block: index });
+    }
+    match block.voxels.iter().enumerate().find(|(_, v)| !v.is_possible()) {
+        Some((number, &voxel)) => Err(MapError::Voxel {
+            block: index,
+            number,
+            voxel,
+        }),
+        None => Ok(()),
     }
 }
 

@@ -10,10 +10,12 @@ use std::{
     fmt,
     ops::{Deref, DerefMut, Index, IndexMut},
     ptr::NonNull,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
+use hashbrown::HashMap;
 use memmap2::{MmapOptions, MmapRaw};
+use rustc_hash::FxBuildHasher;
 
 use crate::map::Block;
 
@@ -37,11 +39,13 @@ pub(crate) fn prefetch<T>(value: &T) {
     let _ = value;
 }
 
-/// The blocks of one part of a map, by number. They never move.
+/// The blocks of one part of a map, by number. They never move; whole slabs of them can be taken out and put in.
 #[derive(Debug, Default)]
 pub(crate) struct Blocks {
-    slabs: Vec<Slab>,
-    len: usize,
+    /// `None` where one was taken out.
+    slabs: Vec<Option<Slab>>,
+    /// Numbers of those.
+    free: Vec<u32>,
     pool: Arc<Pool>,
 }
 
@@ -54,45 +58,69 @@ impl Blocks {
         }
     }
 
-    /// How many.
+    /// All numbers are below this.
     #[inline]
     pub(crate) fn len(&self) -> usize {
-        self.len
+        SLAB_BLOCKS * self.slabs.len()
     }
 
-    /// Adds an empty one.
-    pub(crate) fn push(&mut self) {
-        if self.len == SLAB_BLOCKS * self.slabs.len() {
-            self.slabs.push(self.pool.slab());
-        }
-        self.len += 1;
+    /// Adds a slab of empty ones; the number of the first.
+    pub(crate) fn push(&mut self) -> u32 {
+        let slab = self.pool.slab();
+        self.put(slab)
     }
 
-    /// In order.
+    /// Adds a slab; the number of its first block.
+    pub(crate) fn put(&mut self, slab: Slab) -> u32 {
+        let number = self.free.pop().unwrap_or_else(|| {
+            self.slabs.push(None);
+            (self.slabs.len() - 1) as u32
+        });
+        self.slabs[number as usize] = Some(slab);
+        SLAB_BLOCKS as u32 * number
+    }
+
+    /// Takes out the slab that begins with a block, if it is there.
+    pub(crate) fn take(&mut self, first: u32) -> Option<Slab> {
+        let number = first / SLAB_BLOCKS as u32;
+        let slab = self.slabs.get_mut(number as usize)?.take()?;
+        self.free.push(number);
+        Some(slab)
+    }
+
+    /// All of them, those that were never asked for included.
     pub(crate) fn iter(&self) -> impl Iterator<Item = &Block> {
-        self.slabs.iter().flat_map(|slab| slab.iter()).take(self.len)
+        self.slabs.iter().flatten().flat_map(|slab| slab.iter())
     }
 
     /// Memory that they take, room for some more included.
     pub(crate) fn memory_bytes(&self) -> usize {
-        self.slabs.len() * (size_of::<[Block; SLAB_BLOCKS]>() + size_of::<Slab>())
+        let there = self.slabs.len() - self.free.len();
+        there * SLAB_BYTES + self.slabs.len() * size_of::<Slab>()
     }
 }
 
-/// Beyond those that there are, up to the next slab, it may give empty ones.
+/// What a slab has that was taken out.
+static TAKEN_OUT: Block = Block::EMPTY;
+
+/// Of a slab that was taken out, it gives empty ones.
 impl Index<usize> for Blocks {
     type Output = Block;
 
     #[inline(always)]
     fn index(&self, number: usize) -> &Block {
-        &self.slabs[number / SLAB_BLOCKS][number % SLAB_BLOCKS]
+        match &self.slabs[number / SLAB_BLOCKS] {
+            Some(slab) => &slab[number % SLAB_BLOCKS],
+            None => &TAKEN_OUT,
+        }
     }
 }
 
 impl IndexMut<usize> for Blocks {
     #[inline(always)]
     fn index_mut(&mut self, number: usize) -> &mut Block {
-        &mut self.slabs[number / SLAB_BLOCKS][number % SLAB_BLOCKS]
+        let slab = self.slabs[number / SLAB_BLOCKS].get_or_insert_with(|| self.pool.slab());
+        &mut slab[number % SLAB_BLOCKS]
     }
 }
 
@@ -104,23 +132,32 @@ impl Clone for Blocks {
             new
         };
         Self {
-            slabs: self.slabs.iter().map(copy).collect(),
-            len: self.len,
+            slabs: self.slabs.iter().map(|slab| slab.as_ref().map(copy)).collect(),
+            free: self.free.clone(),
             pool: Arc::clone(&self.pool),
         }
     }
 }
 
-/// Blocks that are had at a time: 64 KiB.
-const SLAB_BLOCKS: usize = 16;
+/// Blocks that are had at a time: 32 KiB, all of one region of a map.
+pub(crate) const SLAB_BLOCKS: usize = 8;
+const SLAB_BYTES: usize = size_of::<[Block; SLAB_BLOCKS]>();
 
 /// A large page, and the least and the most that is mapped at a time.
 const PAGE_BYTES: usize = 2 << 20;
 const MAX_CHUNK_BYTES: usize = 64 << 20;
 
-/// Where slabs come from: chunks of memory, each twice as long as the one before.
+/// Where slabs come from: chunks of memory, each twice as long as the one before, and slabs that are no longer needed.
 #[derive(Debug, Default)]
-pub(crate) struct Pool(Mutex<Option<Chunk>>);
+pub(crate) struct Pool(Mutex<Stock>);
+
+#[derive(Debug, Default)]
+struct Stock {
+    last: Option<Chunk>,
+    /// Slabs to give away again, and how many there were when last it was seen whether whole chunks are among them.
+    free: Vec<Slab>,
+    kept: usize,
+}
 
 /// Mapped memory, of which slabs were given away up to `next`.
 #[derive(Debug)]
@@ -133,18 +170,41 @@ struct Chunk {
 
 impl Pool {
     /// Empty blocks.
+    pub(crate) fn slab(&self) -> Slab {
+        let again = self.lock().free.pop();
+        if let Some(mut slab) = again {
+            slab.fill(Block::EMPTY);
+            return slab;
+        }
+        self.lock().slab()
+    }
+
+    /// Takes back slabs. Memory that is no longer in use at all goes back to the system.
+    pub(crate) fn give_back(&self, slabs: impl IntoIterator<Item = Slab>) {
+        let mut stock = self.lock();
+        stock.free.extend(slabs);
+        if stock.free.len() * SLAB_BYTES >= MAX_CHUNK_BYTES && stock.free.len() >= 2 * stock.kept {
+            stock.tidy();
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Stock> {
+        // Nothing leaves it half changed.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Stock {
+    /// A slab of new memory.
     #[allow(unsafe_code)]
-    fn slab(&self) -> Slab {
-        const BYTES: usize = size_of::<[Block; SLAB_BLOCKS]>();
-        // Nothing below can leave a chunk half changed.
-        let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let chunk = match last.take() {
-            Some(chunk) if chunk.next + BYTES <= chunk.end => chunk,
+    fn slab(&mut self) -> Slab {
+        let chunk = match self.last.take() {
+            Some(chunk) if chunk.next + SLAB_BYTES <= chunk.end => chunk,
             last => Chunk::map(last.map_or(PAGE_BYTES, |last| (2 * last.bytes).min(MAX_CHUNK_BYTES))),
         };
         let (start, memory) = (chunk.next, Arc::clone(&chunk.memory));
-        *last = Some(Chunk {
-            next: start + BYTES,
+        self.last = Some(Chunk {
+            next: start + SLAB_BYTES,
             ..chunk
         });
         // SAFETY: the bytes from `start` on are within the mapping, since `end` is and `next` never exceeds it.
@@ -152,8 +212,27 @@ impl Pool {
         Slab {
             // SAFETY: not null, since the system maps nothing there.
             blocks: unsafe { NonNull::new_unchecked(blocks.cast()) },
-            _memory: memory,
+            memory,
         }
+    }
+
+    /// Drops the slabs of chunks that no other slabs are in use of, and so the chunks.
+    fn tidy(&mut self) {
+        let mut free = HashMap::<_, usize, FxBuildHasher>::default();
+        for slab in &self.free {
+            *free.entry(Arc::as_ptr(&slab.memory)).or_default() += 1;
+        }
+        let last = self.last.as_ref().map(|chunk| Arc::as_ptr(&chunk.memory));
+        let in_use = |slab: &Slab| {
+            let memory = Arc::as_ptr(&slab.memory);
+            let known = free.get(&memory).copied().unwrap_or_default() + usize::from(last == Some(memory));
+            Arc::strong_count(&slab.memory) > known
+        };
+        // First all are judged: dropping one changes the count.
+        let judged: Vec<bool> = self.free.iter().map(in_use).collect();
+        let mut judged = judged.into_iter();
+        self.free.retain(|_| judged.next().unwrap_or(true));
+        self.kept = self.free.len();
     }
 }
 
@@ -180,10 +259,10 @@ impl Chunk {
 }
 
 /// Blocks side by side, on whole cache lines, empty at first.
-struct Slab {
+pub(crate) struct Slab {
     blocks: NonNull<[Block; SLAB_BLOCKS]>,
     /// Where they are, as long as any of its slabs is left.
-    _memory: Arc<MmapRaw>,
+    memory: Arc<MmapRaw>,
 }
 
 // SAFETY: a slab owns its blocks as a box would: no other slab has the same ones, and nothing else reaches into the mapping.
@@ -199,7 +278,7 @@ impl Deref for Slab {
     #[allow(unsafe_code)]
     #[inline(always)]
     fn deref(&self) -> &Self::Target {
-        // SAFETY: aligned to 64 KiB (chunks begin at a page, and slabs have that size); mapped as long as this slab lives; all bits
+        // SAFETY: aligned to 32 KiB (chunks begin at a page, and slabs have that size); mapped as long as this slab lives; all bits
         // zero at first, which makes blocks of integers; changed only through `deref_mut`, which borrows this slab alone.
         unsafe { self.blocks.as_ref() }
     }
@@ -233,31 +312,93 @@ mod tests {
     fn blocks_are_empty_at_first_and_nobody_elses() {
         let pool = Arc::default();
         let mut parts = [Blocks::of(&pool), Blocks::of(&pool)];
-        for number in 0..2500 {
+        for first in (0..2504).step_by(SLAB_BLOCKS) {
             for (p, part) in parts.iter_mut().enumerate() {
-                part.push();
-                assert_eq!(std::ptr::from_ref(&part[number]).align_offset(64), 0);
-                assert!(part[number].voxels.iter().all(|v| *v == Voxel::default()), "{number}");
-                part[number].voxels.iter_mut().for_each(|v| marked(v, 2 * number + p));
+                assert_eq!(part.push() as usize, first);
+                for number in first..first + SLAB_BLOCKS {
+                    assert_eq!(std::ptr::from_ref(&part[number]).align_offset(64), 0);
+                    assert!(part[number] == Block::EMPTY, "{number}");
+                    part[number].voxels.iter_mut().for_each(|v| marked(v, 2 * number + p));
+                }
             }
         }
-        // Those beyond the last one were never given away.
         let copy = parts[0].clone();
         for part in &mut parts {
             part.push();
-            assert_eq!(part[2500].voxels[511], Voxel::default());
+            assert!(part[2504] == Block::EMPTY);
         }
         for (p, part) in [(0, &parts[0]), (1, &parts[1]), (0, &copy)] {
-            let marks = part
-                .iter()
-                .take(2500)
-                .map(|b| [b.voxels[0], b.voxels[511]].map(|v| v.weight_sum as usize));
-            assert!(marks.eq((0..2500).map(|number| [2 * number + p; 2])));
+            let marks = part.iter().take(2504).map(marks_of);
+            assert!(marks.eq((0..2504).map(|number| [2 * number + p; 2])));
         }
         assert_eq!(
             (parts[0].len(), parts[0].iter().count(), copy.len()),
-            (2501, 2501, 2500)
+            (2512, 2512, 2504)
         );
+    }
+
+    fn marks_of(block: &Block) -> [usize; 2] {
+        [block.voxels[0], block.voxels[511]].map(|v| v.weight_sum as usize)
+    }
+
+    #[test]
+    fn slabs_go_from_part_to_part_and_their_memory_is_used_again() {
+        let pool = Arc::default();
+        let (mut one, mut other) = (Blocks::of(&pool), Blocks::of(&pool));
+        for slab in 0..10 {
+            let first = one.push() as usize;
+            (first..first + SLAB_BLOCKS).for_each(|n| one[n].voxels.iter_mut().for_each(|v| marked(v, slab)));
+        }
+        let (all, at) = (one.memory_bytes(), std::ptr::from_ref(&one[24]));
+        let taken = one.take(24).unwrap();
+        assert!(one.take(24).is_none() && one.take(80).is_none());
+        assert_eq!((one.memory_bytes() + SLAB_BYTES, &one[25]), (all, &Block::EMPTY));
+        // It is the same memory elsewhere,
+        assert_eq!((other.put(taken), marks_of(&other[7])), (0, [3; 2]));
+        assert_eq!(std::ptr::from_ref(&other[0]), at);
+        // and, given back, empty again; its number too is used again.
+        pool.give_back(other.take(0));
+        assert_eq!(one.push(), 24);
+        assert!(std::ptr::eq(&one[24], at) && (24..32).all(|n| one[n] == Block::EMPTY));
+        assert!((0..80).filter(|n| n / 8 != 3).all(|n| marks_of(&one[n]) == [n / 8; 2]));
+    }
+
+    /// Chunks that memory is mapped for.
+    fn chunks(pool: &Pool) -> usize {
+        let stock = pool.lock();
+        let mut all: Vec<_> = stock.free.iter().map(|slab| Arc::as_ptr(&slab.memory)).collect();
+        all.sort_unstable();
+        all.dedup();
+        all.len()
+    }
+
+    #[test]
+    fn memory_of_which_nothing_is_used_goes_back_to_the_system() {
+        let pool = Arc::default();
+        let mut blocks = Blocks::of(&pool);
+        // Chunks of 2, 4, … 64 MiB and one more of 64.
+        let slabs = (2 * MAX_CHUNK_BYTES - PAGE_BYTES + MAX_CHUNK_BYTES) / SLAB_BYTES;
+        let numbers: Vec<u32> = (0..slabs).map(|_| blocks.push()).collect();
+        let memories: Vec<_> = blocks
+            .slabs
+            .iter()
+            .flatten()
+            .map(|s| Arc::downgrade(&s.memory))
+            .collect();
+        // One slab of the first chunk stays, so that chunk does.
+        for &number in &numbers[1..] {
+            pool.give_back(blocks.take(number));
+        }
+        pool.lock().tidy();
+        assert_eq!(chunks(&pool), 1);
+        assert_eq!(pool.lock().free.len(), PAGE_BYTES / SLAB_BYTES - 1);
+        let mapped = memories.iter().filter(|m| m.upgrade().is_some()).count();
+        // The last chunk is what comes next.
+        assert_eq!(mapped, PAGE_BYTES / SLAB_BYTES + MAX_CHUNK_BYTES / SLAB_BYTES);
+        // What is left is used again.
+        let last = blocks.push();
+        assert!(blocks[last as usize] == Block::EMPTY);
+        assert_eq!(pool.lock().free.len(), PAGE_BYTES / SLAB_BYTES - 2);
     }
 
     #[test]
@@ -267,17 +408,12 @@ mod tests {
         for number in 0..100 {
             kept.push();
             dropped.push();
-            marked(&mut kept[number].voxels[7], number);
+            marked(&mut kept[8 * number].voxels[7], number);
         }
-        let last = pool
-            .0
-            .lock()
-            .unwrap()
-            .as_ref()
-            .map(|chunk| Arc::downgrade(&chunk.memory))
-            .unwrap();
+        let last = pool.lock().last.as_ref().map(|chunk| Arc::downgrade(&chunk.memory));
+        let last = last.unwrap();
         drop((pool, dropped));
-        assert!((0..100).all(|n| kept[n].voxels[7].weight_sum as usize == n));
+        assert!((0..100).all(|n| kept[8 * n].voxels[7].weight_sum as usize == n));
         // And it is given back with the last of them.
         assert!(last.upgrade().is_some());
         drop(kept);
@@ -287,6 +423,6 @@ mod tests {
     #[test]
     #[should_panic(expected = "out of bounds")]
     fn a_block_that_is_not_there_is_not_given() {
-        let _ = Blocks::default()[0];
+        let _ = &Blocks::default()[0];
     }
 }

@@ -9,6 +9,7 @@ use super::street;
 use crate::config::{Layers, Suggested};
 use crate::evaluate::forms::Form;
 use crate::exit::Usage;
+use crate::fuse::Memory;
 use crate::settings::Settings;
 
 const EXAMPLES: &str = "\
@@ -19,7 +20,8 @@ Examples:
   tsdfuse bench
   tsdfuse bench pandaset/002 --methods raycast,raycast-projective,normals
   tsdfuse bench --threads 1 --json
-  tsdfuse bench --long-drive 10000";
+  tsdfuse bench --long-drive 10000
+  tsdfuse bench --long-drive 16000 --memory 512M";
 
 /// Measure this machine: seconds of each stage, and how close to the memory's limit.
 #[derive(Debug, clap::Args)]
@@ -39,6 +41,9 @@ pub(crate) struct Args {
     /// grows. Voxels are of 12.5 cm unless --voxel-size or --set says otherwise.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(20..=1_000_000))]
     pub(super) long_drive: Option<u32>,
+    /// Drive with no more blocks of the map in memory than this; then extract the surface of all of it, and tell how much file it takes.
+    #[arg(long, value_name = "SIZE", requires = "long_drive")]
+    pub(super) memory: Option<Memory>,
     #[command(flatten)]
     pub(super) settings: Settings,
 }

@@ -3,9 +3,11 @@
 //! The street is driven through once. Then it comes again, moved along x by whole regions of the map, so that each pass makes
 //! new blocks but does exactly the same work: what differs between passes is the size of the map.
 
+use std::path::Path;
+
 use anyhow::{Context, Result, bail};
 use glam::DVec3;
-use indicatif::HumanCount;
+use indicatif::{BinaryBytes, HumanCount};
 use serde::Serialize;
 use tsdfuse::{Scan, SensorModel};
 use tsdfuse_io::dataset::{ScanRef, Source};
@@ -17,9 +19,9 @@ use super::street;
 use crate::config::{RunConfig, Suggested};
 use crate::evaluate::results::median;
 use crate::exit::Outcome;
-use crate::fuse::Fusion;
+use crate::fuse::{Fusion, PagingReport};
 use crate::machine::Machine;
-use crate::report::{ScanReport, command_line, print, print_json};
+use crate::report::{MapReport, MeshReport, ScanReport, command_line, peak_memory_bytes, print, print_json};
 
 /// Scans of a pass.
 const PASS: usize = 100;
@@ -62,6 +64,14 @@ impl Drive {
     }
 }
 
+impl Drive {
+    /// The way of the sensor.
+    fn length_m(&self) -> f64 {
+        let places = self.scans.iter().map(|scan| scan.pose.translation);
+        places.clone().zip(places.skip(1)).map(|(a, b)| a.distance(b)).sum()
+    }
+}
+
 impl Source for Drive {
     fn format(&self) -> &'static str {
         "simulated"
@@ -94,6 +104,53 @@ struct Results {
     machine: Machine,
     config: RunConfig,
     passes: Vec<Pass>,
+    /// Of a drive with little memory.
+    stored: Option<Stored>,
+}
+
+/// The whole map at the end of a drive with little memory.
+#[derive(Debug, Serialize)]
+struct Stored {
+    length_km: f64,
+    map: MapReport,
+    paging: Option<PagingReport>,
+    mesh: MeshReport,
+    peak_memory_bytes: Option<u64>,
+}
+
+impl Stored {
+    fn of(fusion: &mut Fusion, config: &RunConfig, length_km: f64, folder: &Path) -> Result<Self> {
+        fusion.commit()?;
+        let mesh = fusion.surface(&config.mesh, &folder.join("drive.ply"))?;
+        let (map, paging) = fusion.state();
+        Ok(Self {
+            length_km,
+            map,
+            paging,
+            mesh,
+            peak_memory_bytes: peak_memory_bytes(),
+        })
+    }
+
+    fn text(&self) -> String {
+        let Self {
+            length_km, map, mesh, ..
+        } = self;
+        let bytes = |bytes: u64| BinaryBytes(bytes).to_string();
+        let mut text = format!(
+            "\n{length_km:.2} km: {} blocks, {} of voxels; mesh of {} triangles in {:.1} s, written in {:.1} s; peak memory {}\n",
+            HumanCount(map.blocks as u64),
+            bytes(map.blocks as u64 * size_of::<tsdfuse::map::Block>() as u64),
+            HumanCount(mesh.triangles as u64),
+            mesh.seconds,
+            mesh.write_seconds,
+            self.peak_memory_bytes.map_or_else(String::new, bytes),
+        );
+        if let Some(paging) = &self.paging {
+            text += &paging.text(*length_km);
+        }
+        text
+    }
 }
 
 /// A drive through the street.
@@ -105,7 +162,7 @@ struct Pass {
     scan_secs: Vec<f64>,
     fused: u64,
     updated_blocks: usize,
-    /// The map after it.
+    /// The map after it, and how much of it is in memory.
     blocks: usize,
     map_bytes: usize,
 }
@@ -118,17 +175,28 @@ pub(super) fn run(args: &Args, scans: usize) -> Result<Outcome> {
     let method = method.into_iter().next().context("a method is wanted")?;
     let drive = Drive::new(scans, method.config.map.voxel_size_m)?;
     let mut fusion = Fusion::new(&args.settings, &method.config, Some(&drive.sensor))?;
+    let folder = tempfile::Builder::new().prefix(".tsdfuse-drive-").tempdir_in(".")?;
+    if let Some(memory) = args.memory {
+        fusion.limit(memory, folder.path().join("drive.store"), &method.config)?;
+    }
+    let length_km = drive.length_m() / 1e3;
     let dataset = Dataset::new(drive);
     let mut passes: Vec<Pass> = Vec::new();
     for from in (0..scans).step_by(PASS) {
         let to = scans.min(from + PASS);
         fusion.fuse_some(&dataset, (from..to).collect())?;
         let done = &fusion.scans[from..];
-        let pass = Pass::of(from, done, fusion.map.block_count(), fusion.map.memory_bytes());
+        let (map, _) = fusion.state();
+        let pass = Pass::of(from, done, map.blocks, map.bytes);
         pass.check(passes.first().unwrap_or(&pass))?;
         passes.push(pass);
     }
+    let stored = args
+        .memory
+        .map(|_| Stored::of(&mut fusion, &method.config, length_km, folder.path()));
+    let stored = stored.transpose()?;
     let results = Results {
+        stored,
         version: env!("CARGO_PKG_VERSION"),
         command_line: command_line(),
         machine: Machine::here(rayon::current_num_threads()),
@@ -203,6 +271,7 @@ fn table(results: &Results) -> String {
         ms(&secs[secs.len().saturating_sub(PASS)..]),
         1e3 * secs.iter().copied().fold(0.0, f64::max),
     );
+    text += &results.stored.as_ref().map_or_else(String::new, Stored::text);
     let whole: Vec<&Pass> = passes.iter().filter(|pass| pass.is_whole()).collect();
     if whole.len() < 2 {
         return text;

@@ -28,11 +28,14 @@ pub(crate) struct GrowthReport {
 }
 
 impl Growing {
-    pub(super) fn new(every: usize, path: PathBuf, config: &MeshConfig) -> Self {
+    /// Of a map that may hold something already.
+    pub(super) fn new(every: usize, path: PathBuf, config: &MeshConfig, map: &VoxelMap) -> Self {
+        let mut surface = Incremental::new(config);
+        surface.note(&map.block_indices());
         Self {
             every,
             path,
-            surface: Incremental::new(config),
+            surface,
             scans: 0,
             report: GrowthReport::default(),
         }

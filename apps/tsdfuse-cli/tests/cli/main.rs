@@ -10,6 +10,7 @@ mod fuse;
 mod help;
 mod info;
 mod map;
+mod paging;
 mod ply;
 mod render;
 mod rgbd;

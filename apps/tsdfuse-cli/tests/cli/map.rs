@@ -1,4 +1,4 @@
-//! `tsdfuse fuse --save-map`, and what can be done with the map.
+//! `tsdfuse fuse --save-map` and `--load-map`, `tsdfuse map`, and what else can be done with a saved map.
 
 use std::fs;
 
@@ -37,6 +37,194 @@ fn a_saved_map_gives_the_mesh_that_fusing_gave() {
     let report = report.succeeded().json();
     assert!(report["mesh"].is_null());
     assert!(fs::read(alone).unwrap() == fs::read(map).unwrap());
+}
+
+#[test]
+fn a_run_with_a_break_gives_the_map_of_one_without() {
+    let folder = Folder::new();
+    let set = folder.simulate("box", "box", "vlp16", 8, &["--motion"]);
+    let [whole, half, rest] = ["whole", "half", "rest"].map(|name| folder.text(&format!("{name}.tsdf")));
+    for method in [
+        "raycast",
+        "normals",
+        "surfel",
+        "cylindrical",
+        "kuehner",
+        "caminal",
+        "roldao",
+        "patch",
+    ] {
+        let common = [
+            "fuse",
+            &set,
+            "--method",
+            method,
+            "--voxel-size",
+            "0.1",
+            "--set",
+            "map.max_weight=2",
+        ];
+        let fuse = |more: &[&str]| tsdfuse(&[&common[..], more].concat()).succeeded();
+        fuse(&["--save-map", &whole]);
+        fuse(&["--save-map", &half, "--scans", "0..5"]);
+        // The map's own settings go on where none are named.
+        let again = ["fuse", &set, "--method", method, "--load-map", &half, "--scans", "5..8"];
+        let report = tsdfuse(&[&again[..], &["--save-map", &rest, "--json"]].concat())
+            .succeeded()
+            .json();
+        assert!(report["loaded_map"]["integrations"].as_u64().unwrap() >= 5, "{report}");
+        let [whole, half, rest] = [&whole, &half, &rest].map(|path| fs::read(path).unwrap());
+        assert!(whole == rest && whole != half, "{method}");
+    }
+}
+
+#[test]
+fn a_map_that_cannot_be_continued_is_refused() {
+    let folder = Folder::new();
+    let set = folder.simulate("box", "box", "vlp16", 2, &[]);
+    let [map, mesh] = [folder.text("box.tsdf"), folder.text("mesh.ply")];
+    tsdfuse(&["fuse", &set, "--save-map", &map]).succeeded();
+    let refused = |more: &[&str]| tsdfuse(&[&["fuse", &set, "--load-map", &map, "-o", &mesh], more].concat()).failed(2);
+    let line = refused(&["--voxel-size", "0.1"]);
+    assert!(
+        line.contains("box.tsdf: the map has voxel_size_m = 0.05, but the settings say 0.1"),
+        "{line}"
+    );
+    let line = refused(&["--set", "map.max_weight=3"]);
+    assert!(line.contains("max_weight = 32768, but the settings say 3"), "{line}");
+    let line = refused(&["--method", "roldao", "--set", "roldao.form=batch"]);
+    assert!(
+        line.contains("box.tsdf: roldao.form = batch fits planes to all scans at once"),
+        "{line}"
+    );
+    let line = tsdfuse(&["fuse", &set, "--load-map", &mesh, "-o", &mesh]).failed(1);
+    assert!(line.contains("mesh.ply: No such file"), "{line}");
+}
+
+#[test]
+fn maps_of_parts_merge_to_the_map_of_all() {
+    let folder = Folder::new();
+    let set = folder.simulate("box", "box", "vlp16", 6, &[]);
+    let [all, a, b, merged] = ["all", "a", "b", "merged"].map(|name| folder.text(&format!("{name}.tsdf")));
+    let fuse = |map: &str, scans: &str, more: &[&str]| {
+        tsdfuse(&[&["fuse", &set, "--save-map", map, "--scans", scans], more].concat()).succeeded()
+    };
+    fuse(&all, "0..6", &[]);
+    fuse(&a, "0..4", &[]);
+    fuse(&b, "4..6", &[]);
+    let done = tsdfuse(&["map", "merge", &a, &b, "-o", &merged, "--json"]).succeeded();
+    assert_eq!(done.json()["limited_voxels"], 0);
+    assert!(fs::read(&all).unwrap() == fs::read(&merged).unwrap());
+    fuse(&b, "4..6", &["--voxel-size", "0.1"]);
+    let line = tsdfuse(&["map", "merge", &a, &b, "-o", &merged]).failed(1);
+    assert!(
+        line.contains("b.tsdf: the maps differ in voxel_size_m: 0.05 and 0.1"),
+        "{line}"
+    );
+    for (map, scans) in [(&a, "0..4"), (&b, "4..6")] {
+        fuse(map, scans, &["--set", "map.max_weight=1"]);
+    }
+    let run = tsdfuse(&["map", "merge", &a, &b, "-o", &merged]).succeeded();
+    assert!(run.stderr.contains("voxels reached max_weight"), "{}", run.stderr);
+}
+
+#[test]
+fn maps_are_cropped_resampled_moved_and_repaired() {
+    let folder = Folder::new();
+    let set = folder.simulate("sphere", "sphere", "pandar64", 6, &[]);
+    let [map, out, back] = ["sphere", "out", "back"].map(|name| folder.text(&format!("{name}.tsdf")));
+    tsdfuse(&["fuse", &set, "--save-map", &map]).succeeded();
+    let whole = fs::read(&map).unwrap();
+    let extent = |path: &str| {
+        let info = tsdfuse(&["info", path, "--json"]).succeeded().json();
+        let corner = |i: usize| [0, 1, 2].map(|axis| info["extent_m"][i][axis].as_f64().unwrap());
+        [corner(0), corner(1)]
+    };
+    tsdfuse(&[
+        "map",
+        "crop",
+        &map,
+        "--from",
+        "-5,-5,-0.5",
+        "--to",
+        "5,5,0.75",
+        "-o",
+        &out,
+    ])
+    .succeeded();
+    let [low, high] = extent(&out);
+    assert!(
+        (low[2] + 0.5).abs() < 1e-9 && (high[2] - 0.75).abs() < 1e-9,
+        "{low:?} {high:?}"
+    );
+    let line = tsdfuse(&["map", "crop", &map, "--from", "1,1,1", "--to", "0,2,2", "-o", &out]).failed(2);
+    assert!(line.contains("holds nothing"), "{line}");
+
+    let half = tsdfuse(&["map", "resample", &map, "--voxel-size", "0.1", "-o", &out, "--json"]).succeeded();
+    let half = half.json()["map"]["observed_voxels"].as_f64().unwrap();
+    let info = tsdfuse(&["info", &map, "--json"]).succeeded().json();
+    let share = half / info["observed_voxels"].as_f64().unwrap();
+    assert!((0.1..0.25).contains(&share), "{share}");
+    let line = tsdfuse(&["map", "resample", &map, "--voxel-size", "1", "-o", &out]).failed(1);
+    assert!(line.contains("between 1 and 64 voxels"), "{line}");
+
+    let moved = ["--rotation", "0,0,90", "--translation", "691000.05,-2,0.5"];
+    let done = tsdfuse(&[&["map", "transform", &map, "-o", &out, "--json"], &moved[..]].concat()).succeeded();
+    assert_eq!(done.json()["exact"], true);
+    tsdfuse(&[
+        "map",
+        "transform",
+        &out,
+        "--translation",
+        "-691000.05,2,-0.5",
+        "-o",
+        &back,
+    ])
+    .succeeded();
+    tsdfuse(&["map", "transform", &back, "--rotation", "0,0,-90", "-o", &out]).succeeded();
+    assert!(fs::read(&out).unwrap() == whole);
+    let turned = tsdfuse(&["map", "transform", &map, "--rotation", "0,0,30", "-o", &out]).succeeded();
+    assert!(turned.stderr.contains("the map was resampled"), "{}", turned.stderr);
+
+    // A flipped byte loses a group, and no more than that.
+    let intact = tsdfuse(&["map", "repair", &map, "-o", &out]).succeeded();
+    assert!(intact.stderr.contains("no block is lost") && fs::read(&out).unwrap() == whole);
+    let mut damaged = whole.clone();
+    damaged[whole.len() / 2] ^= 1;
+    fs::write(&map, &damaged).unwrap();
+    let run = tsdfuse(&["map", "repair", &map, "-o", &out, "--json"]);
+    assert_eq!(run.code, 3, "{}", run.stderr);
+    let done = run.json();
+    assert_eq!(done["damage"]["lost_blocks"], 256);
+    assert!(
+        run.stderr.contains("is lost") && run.stderr.contains("256 blocks are lost"),
+        "{}",
+        run.stderr
+    );
+    tsdfuse(&["info", &out]).succeeded();
+}
+
+#[test]
+fn maps_are_exported_as_arrays_and_as_points() {
+    let folder = Folder::new();
+    let set = folder.simulate("sphere", "sphere", "pandar64", 6, &[]);
+    let [map, volume, points] = ["sphere.tsdf", "sphere.npz", "points.ply"].map(|name| folder.text(name));
+    tsdfuse(&["fuse", &set, "--save-map", &map]).succeeded();
+    let observed = tsdfuse(&["info", &map, "--json"]).succeeded().json()["observed_voxels"]
+        .as_u64()
+        .unwrap();
+    tsdfuse(&["map", "export", &map, "-o", &volume]).succeeded();
+    let bytes = fs::read(&volume).unwrap();
+    // Twenty bytes a voxel, and the frames of five arrays.
+    assert!((bytes.len() as u64 - 20 * observed) < 2000 && bytes.starts_with(b"PK"));
+    tsdfuse(&["map", "export", &map, "-o", &points]).succeeded();
+    let cloud = tsdfuse_io::geometry::read(&points).unwrap();
+    let tsdfuse_io::geometry::Geometry::Cloud(cloud) = cloud else {
+        panic!("no cloud")
+    };
+    assert!(cloud.len() > 1000 && cloud.iter().all(|p| (p.length() - 2.0).abs() < 0.1));
+    let line = tsdfuse(&["map", "export", &map, "-o", &folder.text("a.vdb")]).failed(2);
+    assert!(line.contains("a.vdb: a map is exported as .npz or .ply"), "{line}");
 }
 
 #[test]

@@ -1,7 +1,14 @@
 use std::sync::LazyLock;
 
+use super::format::{
+    BLOCK, CHANGED, END, GROUP, GROUP_HEADER, GroupHeader, HEADER, HEADER_1, Header, checksum, end_bytes, push_block,
+};
 use super::*;
 use proptest::prelude::*;
+use tsdfuse::MapConfig;
+use tsdfuse::glam::IVec3;
+use tsdfuse::index::BlockIndex;
+use tsdfuse::map::{Block, Voxel};
 
 /// A map of three groups, its blocks on both sides of the origin and put in out of order.
 fn map() -> VoxelMap {
@@ -12,9 +19,7 @@ fn map() -> VoxelMap {
     })
     .unwrap();
     for n in 0..600 {
-        let mut block = Block {
-            voxels: [Voxel::default(); BLOCK_VOXELS],
-        };
+        let mut block = Block::EMPTY;
         for (i, voxel) in block.voxels.iter_mut().enumerate().skip(n % 500).take(40) {
             voxel.weight_sum = 1000 + (i * n) as u32;
             voxel.distance_sum = 500 - i as i32;
@@ -23,6 +28,7 @@ fn map() -> VoxelMap {
         map.insert_block(BlockIndex(IVec3::new(n % 20 - 10, n / 20 % 5 - 2, n / 100 - 3)), block)
             .unwrap();
     }
+    map.set_integrations(77);
     map
 }
 
@@ -42,26 +48,48 @@ fn refused(bytes: &[u8]) -> String {
     told
 }
 
-/// Where the groups begin, and where the last one ends.
+/// Where the groups begin, and where the end does.
 fn group_offsets(bytes: &[u8]) -> Vec<usize> {
     let mut offsets = vec![HEADER + 4];
-    while offsets[offsets.len() - 1] < bytes.len() {
+    while bytes[offsets[offsets.len() - 1]..].len() > END + 4 {
         let at = offsets[offsets.len() - 1];
-        offsets.push(at + 8 + u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize);
+        let length = u32::from_le_bytes(bytes[at + 16..at + 20].try_into().unwrap());
+        offsets.push(at + GROUP_HEADER + 4 + length as usize);
     }
     offsets
 }
 
-/// A file with the header of `count` blocks, and one group with right checksums.
+/// A file of one group with right checksums that says it has so many blocks.
 fn forged(count: u64, plain: &[u8]) -> Vec<u8> {
-    let mut bytes = SAVED[..HEADER].to_vec();
-    bytes[HEADER - 8..].copy_from_slice(&count.to_le_bytes());
-    bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
     let packed = lz4_flex::block::compress(plain);
-    let length = (packed.len() as u32).to_le_bytes();
-    bytes.extend(length);
-    bytes.extend(checksum(length, &packed).to_le_bytes());
-    bytes.extend(packed);
+    forged_packed(count, &GroupHeader::bytes(0, count as usize, &packed), &packed)
+}
+
+fn forged_packed(count: u64, group: &[u8], packed: &[u8]) -> Vec<u8> {
+    let header: [u8; HEADER] = SAVED[..HEADER].try_into().unwrap();
+    let end = end_bytes(&header, count);
+    [&SAVED[..HEADER + 4], group, packed, &end].concat()
+}
+
+/// A map as version 1 has it.
+fn saved_1(map: &VoxelMap) -> Vec<u8> {
+    let indices = map.block_indices();
+    let mut bytes = Header::bytes(map.config(), 0)[..HEADER - 4].to_vec();
+    bytes[8] = 1;
+    bytes.extend((indices.len() as u64).to_le_bytes());
+    assert_eq!(bytes.len(), HEADER_1);
+    bytes.extend(checksum(&[&bytes]).to_le_bytes());
+    for group in indices.chunks(GROUP) {
+        let mut plain = Vec::new();
+        group
+            .iter()
+            .for_each(|&i| push_block(i, map.block(i).unwrap(), &mut plain));
+        let packed = lz4_flex::block::compress(&plain);
+        let length = (packed.len() as u32).to_le_bytes();
+        bytes.extend(length);
+        bytes.extend(checksum(&[&length, &packed]).to_le_bytes());
+        bytes.extend(packed);
+    }
     bytes
 }
 
@@ -80,32 +108,79 @@ fn what_is_written_is_read() {
     assert!(!recognises(&path));
     write(&path, &map).unwrap();
     assert!(recognises(&path));
-    assert!(read(&path).unwrap() == map);
+    let again = read(&path).unwrap();
+    assert!(again == map && again.integrations() == 77);
     assert_eq!(group_offsets(&std::fs::read(&path).unwrap()).len(), 4);
     let empty = VoxelMap::new(MapConfig::default()).unwrap();
     assert!(parsed(&saved(&empty)).unwrap() == empty);
-    assert_eq!(saved(&empty).len(), HEADER + 4);
+    assert_eq!(saved(&empty).len(), HEADER + 4 + END + 4);
+}
+
+#[test]
+fn maps_of_version_1_are_read() {
+    let bytes = saved_1(&map());
+    let reader = Reader::new("a.tsdf", &bytes[..]).unwrap();
+    assert!(!reader.tells_integrations());
+    let read = reader.map().unwrap();
+    assert!(read == map() && read.integrations() == 0);
+    let mut flipped = bytes.clone();
+    flipped[bytes.len() - 500] ^= 1;
+    assert_eq!(
+        refused(&flipped),
+        format!("a.tsdf: group 3 of 3 (88 of 600 blocks): {CHANGED}")
+    );
+    assert_eq!(
+        refused(&[&bytes[..], &[0]].concat()),
+        "a.tsdf: bytes follow the last of 600 blocks"
+    );
+    assert!(refused(&bytes[..bytes.len() - 1]).contains("the file ends within group 3 of 3"));
+    assert!(repair_bytes(Path::new("a.tsdf"), &bytes).unwrap().map == map());
+    assert!(repair_bytes(Path::new("a.tsdf"), &flipped).is_err());
+}
+
+#[test]
+fn blocks_out_of_order_are_not_written() {
+    let mut writer = Writer::new(Vec::new(), &MapConfig::default(), 0).unwrap();
+    let mut write = |x, y| writer.block(BlockIndex(IVec3::new(x, y, 0)), &Block::EMPTY);
+    // The region comes first: block (0, 1, 0) of the first one goes before (8, 0, 0) of the next.
+    write(0, 0).unwrap();
+    write(0, 1).unwrap();
+    write(8, 0).unwrap();
+    for (x, y) in [(8, 0), (1, 1)] {
+        assert!(write(x, y).unwrap_err().to_string().ends_with("is not in order"));
+    }
 }
 
 #[test]
 fn the_bytes_are_as_documented() {
     let mut map = VoxelMap::new(MapConfig::default()).unwrap();
-    let mut block = Block {
-        voxels: [Voxel::default(); BLOCK_VOXELS],
-    };
+    map.set_integrations(9);
+    let mut block = Block::EMPTY;
     block.voxels[0] = Voxel {
         weight_sum: 0x0102_0304,
         distance_sum: -2,
     };
     map.insert_block(BlockIndex(IVec3::new(-1, 2, 3)), block).unwrap();
     let bytes = saved(&map);
-    let mut header = b"TSDFMAP\n\x01\0\0\0\0\x80\0\0".to_vec();
+    let mut header = b"TSDFMAP\n\x02\0\0\0\0\x80\0\0".to_vec();
     header.extend(0.05f64.to_le_bytes());
     header.extend(0.20f64.to_le_bytes());
     header.extend(32768f32.to_le_bytes());
-    header.extend(1u64.to_le_bytes());
-    assert_eq!(bytes[..44], header);
-    let plain = lz4_flex::block::decompress(&bytes[56..], BLOCK).unwrap();
+    header.extend(9u32.to_le_bytes());
+    assert_eq!(bytes[..40], header);
+    let crc = |bytes: &[u8]| crc32fast::hash(bytes).to_le_bytes();
+    assert_eq!(bytes[40..44], crc(&header));
+    let end = bytes.len() - 60;
+    let mut group = b"TSDFGRP\n\0\0\0\0\x01\0\0\0".to_vec();
+    group.extend((end as u32 - 72).to_le_bytes());
+    group.extend(crc(&bytes[72..end]));
+    assert_eq!(bytes[44..68], group);
+    assert_eq!(bytes[68..72], crc(&group));
+    let mut last = [&b"TSDFEND\n"[..], &header].concat();
+    last.extend(1u64.to_le_bytes());
+    assert_eq!(bytes[end..end + 56], last);
+    assert_eq!(bytes[end + 56..], crc(&last));
+    let plain = lz4_flex::block::decompress(&bytes[72..end], BLOCK).unwrap();
     assert_eq!(plain.len(), 4108);
     assert_eq!(
         plain[..20],
@@ -125,28 +200,49 @@ fn damage_is_named_by_its_group() {
         bytes[at] ^= 0x10;
         refused(&bytes)
     };
-    assert_eq!(
-        flipped(offsets[1] + 500),
-        format!("a.tsdf: group 2 of 3 (256 of 600 blocks): {CHANGED}")
-    );
-    assert!(flipped(offsets[2] + 500).contains("group 3 of 3 (88 of 600 blocks): "));
-    assert!(flipped(offsets[0] + 3).contains("group 1 of 3 (256 of 600 blocks): 268"));
+    assert_eq!(flipped(offsets[1] + 500), format!("a.tsdf: group 2: {CHANGED}"));
+    assert_eq!(flipped(offsets[2] + 17), format!("a.tsdf: group 3: {CHANGED}"));
+    assert_eq!(flipped(offsets[0] + 3), format!("a.tsdf: group 1: {CHANGED}"));
     assert!(flipped(3).ends_with("its header: this is no map saved by tsdfuse"));
-    assert!(flipped(8).ends_with("its header: it has version 17, read is version 1"));
+    assert!(flipped(8).ends_with("its header: it has version 18, read are versions up to 2"));
     assert!(flipped(20).ends_with(&format!("its header: {CHANGED}")));
+    assert_eq!(flipped(bytes.len() - 10), format!("a.tsdf: group 4: {CHANGED}"));
     let told = refused(&bytes[..offsets[2] - 1]);
-    assert_eq!(told, "a.tsdf: the file ends within group 2 of 3 (256 of 600 blocks)");
+    assert_eq!(told, "a.tsdf: the file ends within group 2");
     assert_eq!(refused(&bytes[..40]), "a.tsdf: the file ends within its header");
     let longer = [&bytes[..], &[0]].concat();
     assert_eq!(refused(&longer), "a.tsdf: bytes follow the last of 600 blocks");
-    let exchanged = [
-        &bytes[..offsets[0]],
-        &bytes[offsets[1]..offsets[2]],
-        &bytes[offsets[0]..offsets[1]],
-        &bytes[offsets[2]..],
-    ]
-    .concat();
-    assert!(refused(&exchanged).contains("group 2 of 3 (256 of 600 blocks): block [-10, -2, -3] is not in order"));
+    let without_second = [&bytes[..offsets[1]], &bytes[offsets[2]..]].concat();
+    assert_eq!(
+        refused(&without_second),
+        "a.tsdf: group 2: it is group 3, so others are missing"
+    );
+    let without_last = [&bytes[..offsets[2]], &bytes[offsets[3]..]].concat();
+    assert!(refused(&without_last).contains("the file ends after 512 blocks; at its end it says that it has 600"));
+}
+
+#[test]
+fn packed_blocks_are_unpacked_and_damage_is_told() {
+    let map = &*MAP;
+    let all: Vec<BlockIndex> = map.block_indices();
+    for blocks in [0, 1, 256, 600] {
+        let some = || all[..blocks].iter().map(|&i| (i, map.block(i).unwrap()));
+        let packed = pack(some());
+        let mut unpacked = Vec::new();
+        let mut take = |index, block| {
+            unpacked.push((index, block));
+            Ok(())
+        };
+        unpack(&packed, &mut take).unwrap();
+        assert!(unpacked.iter().map(|(index, block)| (*index, block)).eq(some()));
+        for at in [0, 10, 20, packed.len() / 2, packed.len().saturating_sub(1)] {
+            let mut damaged = packed.clone();
+            let Some(byte) = damaged.get_mut(at) else { continue };
+            *byte ^= 4;
+            assert!(unpack(&damaged, |_, _| Ok(())).is_err(), "{at}");
+            assert!(at == 0 || unpack(&packed[..at], |_, _| Ok(())).is_err(), "{at}");
+        }
+    }
 }
 
 #[test]
@@ -159,12 +255,66 @@ fn impossible_content_is_refused_although_its_checksum_is_right() {
     let mut voxel = empty_block(1);
     voxel[12..20].copy_from_slice(&[1, 0, 0, 0, 2, 0, 0, 0]);
     assert!(told(&[voxel]).ends_with("block [1, 0, 0]: voxel 0 cannot hold a weight of 1 and a distance of 2"));
-    // The header promises more, or other, than there is.
-    let none = refused(&forged(u64::MAX, &empty_block(1).repeat(256)));
-    assert!(none.contains("group 1 of 72057594037927936"), "{none}");
+    // A group promises other than there is.
+    assert!(refused(&forged(257, &empty_block(1).repeat(257))).contains("it has 257 blocks; 1 to 256 are possible"));
+    assert!(refused(&forged(0, &[])).contains("it has 0 blocks"));
     assert!(refused(&forged(2, &empty_block(1))).contains("4108 bytes instead of 8216"));
-    assert!(refused(&forged(1, &[empty_block(1), empty_block(2)].concat())).contains("group 1 of 1"));
+    assert!(refused(&forged(1, &[empty_block(1), empty_block(2)].concat())).contains("group 1: "));
 }
+
+/// What is left of [`SAVED`] after a change of its bytes, and what is said of it.
+fn repaired(change: impl FnOnce(&mut Vec<u8>)) -> Repaired {
+    let mut bytes = SAVED.clone();
+    change(&mut bytes);
+    repair_bytes(Path::new("a.tsdf"), &bytes).unwrap()
+}
+
+#[test]
+fn what_is_intact_is_recovered() {
+    let (whole, offsets) = (map(), group_offsets(&SAVED));
+    let check = |repaired: &Repaired, blocks: usize, lost: Option<u64>, places: &[&str]| {
+        let Repaired { map, damage } = repaired;
+        assert_eq!(
+            (map.block_count(), map.integrations(), damage.lost_blocks),
+            (blocks, 77, lost)
+        );
+        assert!(map.block_indices().iter().all(|&i| map.block(i) == whole.block(i)));
+        assert_eq!(map.config(), whole.config());
+        assert_eq!(damage.places, places);
+    };
+    check(&repaired(|_| ()), 600, Some(0), &[]);
+    let (first, second) = (offsets[1], offsets[2] - 1);
+    // A byte of a group, of its length, or of its mark: that group is lost, and nothing else.
+    for at in [first + 300, first + 17, first] {
+        let told = repaired(|bytes| bytes[at] ^= 4);
+        let what = if at == first { "no group begins there" } else { CHANGED };
+        let places = [&*format!("bytes {first} to {second}: {what}"), "group 2 is lost"];
+        check(&told, 344, Some(256), &places);
+    }
+    // The header: its copy is used.
+    check(
+        &repaired(|bytes| bytes[20] ^= 4),
+        600,
+        Some(0),
+        &[&format!("the header: {CHANGED}; its copy is used")],
+    );
+    // The file was cut off, or part of it is missing.
+    let cut = repaired(|bytes| bytes.truncate(offsets[2] + 100));
+    let place = format!("bytes {} to {}: the file ends within them", offsets[2], offsets[2] + 99);
+    check(&cut, 512, None, &[&place, "the end is missing"]);
+    let out = repaired(|bytes| drop(bytes.drain(offsets[0] + 50..offsets[2])));
+    assert_eq!((out.map.block_count(), out.damage.lost_blocks), (88, Some(512)));
+    assert_eq!(out.damage.places[1], "groups 1 to 2 are lost");
+    // Nothing tells what the voxels are.
+    let mut headless = SAVED.clone();
+    headless[20] ^= 4;
+    headless.truncate(offsets[3]);
+    let told = repair_bytes(Path::new("a.tsdf"), &headless).unwrap_err().to_string();
+    assert_eq!(told, format!("a.tsdf: its header: {CHANGED}"));
+}
+
+/// [`map`], made once.
+static MAP: LazyLock<VoxelMap> = LazyLock::new(map);
 
 /// [`map`], saved once.
 static SAVED: LazyLock<Vec<u8>> = LazyLock::new(|| saved(&map()));
@@ -184,21 +334,28 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_give_an_error_or_a_map(
-        bytes in prop::collection::vec(any::<u8>(), 0..2000),
-        length in any::<u16>(),
-        count in 0..600u64,
+    fn any_damage_is_repaired_or_named_and_nothing_false_is_recovered(
+        flips in prop::collection::vec((any::<prop::sample::Index>(), 1..=255u8), 1..6),
+        length in any::<prop::sample::Index>(),
     ) {
-        let _ = parsed(&bytes);
+        let mut bytes = SAVED.clone();
+        for (at, change) in flips {
+            let at = at.index(bytes.len());
+            bytes[at] ^= change;
+        }
+        bytes.truncate(bytes.len() - length.index(bytes.len()) / 3);
+        if let Ok(Repaired { map: left, damage }) = repair_bytes(Path::new("a.tsdf"), &bytes) {
+            let whole = &*MAP;
+            prop_assert!(left.block_indices().iter().all(|&i| left.block(i) == whole.block(i)));
+            prop_assert!(left == *whole || !damage.places.is_empty());
+        }
+    }
+
+    #[test]
+    fn any_bytes_give_an_error_or_a_map(bytes in prop::collection::vec(any::<u8>(), 0..2000), count in 0..600u64) {
+        crate::fuzzing::map(&bytes);
         let _ = parsed(&forged(count, &bytes));
         // As compressed bytes, with a right checksum.
-        let mut file = forged(count, &[]);
-        file.truncate(HEADER + 4);
-        let length = [length.to_le_bytes(), [0; 2]].concat().try_into().unwrap();
-        let own = (bytes.len() as u32).to_le_bytes();
-        for length in [length, own] {
-            let packed = [&length[..], &checksum(length, &bytes).to_le_bytes(), &bytes].concat();
-            let _ = parsed(&[&file[..], &packed].concat());
-        }
+        let _ = parsed(&forged_packed(count, &GroupHeader::bytes(0, count as usize, &bytes), &bytes));
     }
 }

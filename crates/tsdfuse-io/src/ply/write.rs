@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use tsdfuse::Mesh;
+use tsdfuse::glam::{DVec3, Vec3};
 
 use crate::error::Result;
 
@@ -34,6 +35,20 @@ pub fn write_to(out: impl Write, mesh: &Mesh) -> io::Result<()> {
     write_parts(out, mesh, None)
 }
 
+/// Writes the vertices of a mesh, with their normals if it has them, as a cloud of points, to a file which appears when it is complete.
+///
+/// # Errors
+/// Names the file and what the system says.
+pub fn write_vertices(path: impl AsRef<Path>, mesh: &Mesh) -> Result<()> {
+    crate::atomic::write(path, |out| {
+        let layout = Layout::of(mesh)?;
+        layout.header(out, mesh.vertices.len() as u64, None)?;
+        in_chunks(out, mesh.vertices.len(), |i, bytes| {
+            layout.vertex(mesh.vertices[i], mesh.normals.get(i), bytes);
+        })
+    })
+}
+
 /// As [`write_to`], with `red green blue` of each vertex.
 ///
 /// # Errors
@@ -44,49 +59,83 @@ pub fn write_colored_to(out: impl Write, mesh: &Mesh, colors: &[[u8; 3]]) -> io:
 }
 
 fn write_parts(mut out: impl Write, mesh: &Mesh, colors: Option<&[[u8; 3]]>) -> io::Result<()> {
-    let double = mesh.vertices.iter().any(|v| v.abs().max_element() >= FLOAT_LIMIT_M);
-    let coordinate = if double { "double" } else { "float" };
-    let normals = has_normals(mesh)?;
-    write!(out, "ply\nformat binary_little_endian 1.0\ncomment tsdfuse, metres\n")?;
-    writeln!(out, "element vertex {}", mesh.vertices.len())?;
-    for axis in ["x", "y", "z"] {
-        writeln!(out, "property {coordinate} {axis}")?;
-    }
-    for axis in ["nx", "ny", "nz"].iter().filter(|_| normals) {
-        writeln!(out, "property float {axis}")?;
-    }
-    for channel in ["red", "green", "blue"].iter().filter(|_| colors.is_some()) {
-        writeln!(out, "property uchar {channel}")?;
-    }
-    writeln!(out, "element face {}", mesh.triangles.len())?;
-    write!(out, "property list uchar int vertex_indices\nend_header\n")?;
-
+    let layout = Layout {
+        colors: colors.is_some(),
+        ..Layout::of(mesh)?
+    };
+    layout.header(&mut out, mesh.vertices.len() as u64, Some(mesh.triangles.len() as u64))?;
     in_chunks(&mut out, mesh.vertices.len(), |i, bytes| {
-        let v = mesh.vertices[i];
-        if double {
-            v.to_array()
-                .iter()
-                .for_each(|c| bytes.extend_from_slice(&c.to_le_bytes()));
-        } else {
-            v.as_vec3()
-                .to_array()
-                .iter()
-                .for_each(|c| bytes.extend_from_slice(&c.to_le_bytes()));
-        }
-        if normals {
-            mesh.normals[i]
-                .to_array()
-                .iter()
-                .for_each(|c| bytes.extend_from_slice(&c.to_le_bytes()));
-        }
+        layout.vertex(mesh.vertices[i], mesh.normals.get(i), bytes);
         bytes.extend(colors.iter().flat_map(|colors| colors[i]));
     })?;
     in_chunks(&mut out, mesh.triangles.len(), |i, bytes| {
-        bytes.push(3);
-        mesh.triangles[i]
-            .iter()
-            .for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
+        triangle(mesh.triangles[i], bytes);
     })
+}
+
+/// Whether a vertex is so far from the origin that it takes doubles.
+pub(super) fn is_far(vertex: DVec3) -> bool {
+    vertex.abs().max_element() >= FLOAT_LIMIT_M
+}
+
+/// What a vertex has.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Layout {
+    pub(super) double: bool,
+    pub(super) normals: bool,
+    pub(super) colors: bool,
+}
+
+impl Layout {
+    /// Of a mesh without colours.
+    fn of(mesh: &Mesh) -> io::Result<Self> {
+        Ok(Self {
+            double: mesh.vertices.iter().any(|v| is_far(*v)),
+            normals: has_normals(mesh)?,
+            colors: false,
+        })
+    }
+
+    pub(super) fn header(self, out: &mut impl Write, vertices: u64, triangles: Option<u64>) -> io::Result<()> {
+        let coordinate = if self.double { "double" } else { "float" };
+        write!(out, "ply\nformat binary_little_endian 1.0\ncomment tsdfuse, metres\n")?;
+        writeln!(out, "element vertex {vertices}")?;
+        for axis in ["x", "y", "z"] {
+            writeln!(out, "property {coordinate} {axis}")?;
+        }
+        for axis in ["nx", "ny", "nz"].iter().filter(|_| self.normals) {
+            writeln!(out, "property float {axis}")?;
+        }
+        for channel in ["red", "green", "blue"].iter().filter(|_| self.colors) {
+            writeln!(out, "property uchar {channel}")?;
+        }
+        if let Some(triangles) = triangles {
+            write!(
+                out,
+                "element face {triangles}\nproperty list uchar int vertex_indices\n"
+            )?;
+        }
+        writeln!(out, "end_header")
+    }
+
+    /// Appends a vertex, without its colour.
+    pub(super) fn vertex(self, position: DVec3, normal: Option<&Vec3>, bytes: &mut Vec<u8>) {
+        match self.double {
+            true => position.to_array().iter().for_each(|c| bytes.extend(c.to_le_bytes())),
+            false => floats(position.as_vec3(), bytes),
+        }
+        normal.into_iter().for_each(|normal| floats(*normal, bytes));
+    }
+}
+
+fn floats(v: Vec3, bytes: &mut Vec<u8>) {
+    v.to_array().iter().for_each(|c| bytes.extend(c.to_le_bytes()));
+}
+
+/// Appends a triangle.
+pub(super) fn triangle(corners: [u32; 3], bytes: &mut Vec<u8>) {
+    bytes.push(3);
+    corners.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
 }
 
 /// Whether there is a normal for each vertex.
@@ -132,7 +181,6 @@ pub(crate) fn in_chunks(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tsdfuse::glam::{DVec3, Vec3};
 
     fn written(mesh: &Mesh) -> (String, Vec<u8>) {
         let mut bytes = Vec::new();
@@ -190,6 +238,19 @@ mod tests {
         assert_eq!(bytes.len(), end + 3 * 27 + 13);
         let refused = write_colored_to(std::io::sink(), &mesh, &[[0; 3]]).unwrap_err();
         assert_eq!(refused.to_string(), "the mesh has 3 vertices but 1 colours");
+    }
+
+    #[test]
+    fn vertices_are_a_cloud() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.ply");
+        write_vertices(&path, &triangle(2.0)).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        assert!(!String::from_utf8_lossy(&bytes).contains("face"));
+        match crate::geometry::read(&path).unwrap() {
+            crate::geometry::Geometry::Cloud(points) => assert_eq!(points, triangle(2.0).vertices),
+            other => panic!("{other:?}"),
+        }
     }
 
     #[test]

@@ -488,8 +488,6 @@ impl Writer {
         };
         let seen = shard
             .indices()
-            .iter()
-            .copied()
             .filter(|&b| visible(b) && !named.numbers.contains_key(&b));
         let seen: Vec<BlockIndex> = seen.collect();
         for (block, names) in named.by_block() {

@@ -1,0 +1,309 @@
+//! `tsdfuse map`: saved maps in, a saved map out.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::Subcommand;
+use glam::{DQuat, DVec3, EulerRot};
+use indicatif::HumanCount;
+use serde::Serialize;
+use tsdfuse::mesh::{MeshConfig, extract_with};
+use tsdfuse::{Pose, VoxelMap};
+use tsdfuse_io::map_file::{self, Damage, Reader};
+use tsdfuse_io::{npz, ply};
+
+use crate::exit::{Outcome, Usage};
+use crate::output::check_file;
+use crate::progress::{note, say, working};
+use crate::report::{MapReport, SavedMap, print_json};
+use crate::simulate::parse_triple;
+
+const EXAMPLES: &str = "\
+Examples:
+  tsdfuse map merge monday.tsdf tuesday.tsdf -o week.tsdf
+  tsdfuse map crop street.tsdf --from -20,-20,-3 --to 20,20,12 -o crossing.tsdf
+  tsdfuse map resample street.tsdf --voxel-size 0.1 -o coarse.tsdf
+  tsdfuse map transform street.tsdf --rotation 0,0,90 --translation 691000,5335000,0 -o utm.tsdf
+  tsdfuse map repair broken.tsdf -o whole.tsdf
+  tsdfuse map export street.tsdf -o street.npz
+
+What a map holds: tsdfuse info.";
+
+/// Merge, crop, resample, move, repair and export saved maps.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    operation: Operation,
+}
+
+#[derive(Debug, Subcommand)]
+enum Operation {
+    /// Add maps of one grid: what fusing all their scans gives, bit for bit, where weights stay below their limit and nothing
+    /// was erased (by patch).
+    Merge {
+        /// The maps.
+        #[arg(num_args = 2.., required = true)]
+        maps: Vec<PathBuf>,
+        #[command(flatten)]
+        out: Out,
+    },
+    /// Keep the voxels whose centres lie in a box.
+    Crop {
+        /// The map.
+        map: PathBuf,
+        /// The box's lowest corner, metres [default: none].
+        #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true)]
+        from: Option<DVec3>,
+        /// The box's highest corner, metres [default: none].
+        #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true)]
+        to: Option<DVec3>,
+        #[command(flatten)]
+        out: Out,
+    },
+    /// Change the size of the voxels; the truncation stays.
+    Resample {
+        /// The map.
+        map: PathBuf,
+        /// Edge of a voxel, metres.
+        #[arg(long, value_name = "M")]
+        voxel_size: f64,
+        #[command(flatten)]
+        out: Out,
+    },
+    /// Turn and then move a map: exactly by whole voxels and quarter turns, else by resampling.
+    Transform {
+        /// The map.
+        map: PathBuf,
+        /// About x, then y, then z, degrees.
+        #[arg(long, value_name = "ROLL,PITCH,YAW", value_parser = parse_triple, allow_hyphen_values = true, default_value = "0,0,0")]
+        rotation: DVec3,
+        /// Metres.
+        #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, default_value = "0,0,0")]
+        translation: DVec3,
+        #[command(flatten)]
+        out: Out,
+    },
+    /// Write the voxels as NumPy arrays (.npz), or the surface as points with normals (.ply).
+    Export(Export),
+    /// Recover what is intact of a damaged map.
+    Repair {
+        /// The map.
+        map: PathBuf,
+        #[command(flatten)]
+        out: Out,
+    },
+}
+
+#[derive(Debug, clap::Args)]
+struct Export {
+    /// The map.
+    map: PathBuf,
+    /// The file to write, .npz or .ply.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Voxels of less weight do not become surface (.ply).
+    #[arg(long, value_name = "W", default_value_t = MeshConfig::default().min_weight)]
+    min_weight: f32,
+}
+
+/// Where the result goes.
+#[derive(Debug, clap::Args)]
+struct Out {
+    /// The map to write.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Print what was done as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was done.
+#[derive(Debug, Serialize)]
+struct Done {
+    map: MapReport,
+    saved_map: SavedMap,
+    /// Merged voxels that are at the weight's limit: a mean of all maps, but not the bits that fusing would give.
+    limited_voxels: Option<u64>,
+    /// Whether the motion only renumbered voxels.
+    exact: Option<bool>,
+    damage: Option<Damage>,
+}
+
+/// A map, and what is to be said of it.
+struct Made {
+    map: VoxelMap,
+    limited_voxels: Option<u64>,
+    exact: Option<bool>,
+    damage: Option<Damage>,
+}
+
+impl From<VoxelMap> for Made {
+    fn from(map: VoxelMap) -> Self {
+        Self {
+            map,
+            limited_voxels: None,
+            exact: None,
+            damage: None,
+        }
+    }
+}
+
+pub(crate) fn run(Args { operation }: &Args) -> Result<Outcome> {
+    let out = match operation.out() {
+        Ok(out) => out,
+        Err(export) => return export.run(),
+    };
+    check_file(&out.output)?;
+    let spinner = working("working on the map");
+    let made = operation.run()?;
+    drop(spinner);
+    let done = Done {
+        map: MapReport::of(&made.map),
+        saved_map: SavedMap::write(&made.map, &out.output)?,
+        limited_voxels: made.limited_voxels,
+        exact: made.exact,
+        damage: made.damage,
+    };
+    let lost = done.say();
+    done.map.summarize(None);
+    done.saved_map.say_where();
+    if out.json {
+        print_json(&done)?;
+    }
+    Ok(if lost { Outcome::BlocksLost } else { Outcome::Complete })
+}
+
+impl Operation {
+    /// Where the map goes, unless it is no map that is made.
+    fn out(&self) -> Result<&Out, &Export> {
+        match self {
+            Self::Export(export) => Err(export),
+            Self::Merge { out, .. }
+            | Self::Crop { out, .. }
+            | Self::Resample { out, .. }
+            | Self::Transform { out, .. }
+            | Self::Repair { out, .. } => Ok(out),
+        }
+    }
+
+    fn run(&self) -> Result<Made> {
+        let named = |path: &Path| path.display().to_string();
+        match self {
+            Self::Merge { maps, .. } => merge(maps),
+            Self::Crop { map, from, to, .. } => {
+                let (low, high) = (from.unwrap_or(DVec3::NEG_INFINITY), to.unwrap_or(DVec3::INFINITY));
+                let cropped = map_file::read(map)?.cropped(low, high).map_err(Usage::new)?;
+                Ok(cropped.into())
+            }
+            Self::Resample { map, voxel_size, .. } => {
+                let resampled = map_file::read(map)?.resampled(*voxel_size);
+                Ok(resampled.with_context(|| named(map))?.into())
+            }
+            Self::Transform {
+                map,
+                rotation,
+                translation,
+                ..
+            } => {
+                let [roll, pitch, yaw] = rotation.to_array().map(f64::to_radians);
+                let pose = Pose {
+                    rotation: DQuat::from_euler(EulerRot::ZYX, yaw, pitch, roll),
+                    translation: *translation,
+                };
+                let moved = map_file::read(map)?.transformed(&pose);
+                let (moved, exact) = moved.with_context(|| named(map))?;
+                Ok(Made {
+                    exact: Some(exact),
+                    ..moved.into()
+                })
+            }
+            Self::Export(export) => Ok(map_file::read(&export.map)?.into()),
+            Self::Repair { map, .. } => {
+                let map_file::Repaired { map, damage } = map_file::repair(map)?;
+                Ok(Made {
+                    damage: Some(damage),
+                    ..map.into()
+                })
+            }
+        }
+    }
+}
+
+impl Export {
+    fn run(&self) -> Result<Outcome> {
+        let config = MeshConfig {
+            min_weight: self.min_weight,
+        };
+        config.validate().map_err(Usage::new)?;
+        check_file(&self.output)?;
+        let is = |extension| {
+            self.output
+                .extension()
+                .is_some_and(|e| e.eq_ignore_ascii_case(extension))
+        };
+        if is("npz") {
+            let map = map_file::read(&self.map)?;
+            npz::write(&self.output, &map)?;
+            say(format_args!(
+                "  voxels   {}",
+                HumanCount(map.observed_voxel_count() as u64)
+            ));
+        } else if is("ply") {
+            let mesh = extract_with(&map_file::read(&self.map)?, &config)?;
+            ply::write_vertices(&self.output, &mesh)?;
+            say(format_args!("  points   {}", HumanCount(mesh.vertices.len() as u64)));
+        } else {
+            let path = self.output.display();
+            return Err(Usage::new(format_args!("{path}: a map is exported as .npz or .ply")).into());
+        }
+        say(format_args!("  wrote    {}", self.output.display()));
+        Ok(Outcome::Complete)
+    }
+}
+
+/// The first map, with the blocks of the others added as they are read.
+fn merge(paths: &[PathBuf]) -> Result<Made> {
+    let (first, others) = paths.split_first().context("maps are wanted")?;
+    let mut map = map_file::read(first)?;
+    let mut limited = 0;
+    for path in others {
+        let reader = Reader::open(path)?;
+        let same = map.config().check_same(reader.config());
+        same.with_context(|| format!("{} and {}", first.display(), path.display()))?;
+        let integrations = map.integrations().wrapping_add(reader.integrations());
+        reader.for_each_block(|index, block| {
+            limited += map.add_block(index, &block)?;
+            Ok(())
+        })?;
+        map.set_integrations(integrations);
+    }
+    Ok(Made {
+        limited_voxels: Some(limited),
+        ..map.into()
+    })
+}
+
+impl Done {
+    /// Says what is odd, and whether something is lost.
+    fn say(&self) -> bool {
+        if let Some(limited) = self.limited_voxels.filter(|&n| n > 0) {
+            note(format_args!(
+                "{limited} voxels reached max_weight: they are the mean of all maps, but not what fusing all scans would give to the bit"
+            ));
+        }
+        match self.exact {
+            Some(true) => say(format_args!("moved by whole voxels: no bit of any voxel changed")),
+            Some(false) => note("moved between voxels: the map was resampled"),
+            None => {}
+        }
+        let Some(damage) = &self.damage else { return false };
+        damage.places.iter().for_each(note);
+        match damage.lost_blocks {
+            Some(0) => say(format_args!("no block is lost")),
+            Some(lost) => note(format_args!("{lost} blocks are lost")),
+            None => note("how many blocks are lost is not known, since the end of the file is"),
+        }
+        damage.lost_blocks != Some(0)
+    }
+}

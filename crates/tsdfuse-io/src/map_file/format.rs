@@ -1,0 +1,263 @@
+//! What the bytes of a saved map are.
+
+use std::io::{self, Read};
+use std::path::Path;
+
+use lz4_flex::block::{decompress_into, get_maximum_output_size};
+use tsdfuse::glam::IVec3;
+use tsdfuse::index::{BLOCK_VOXELS, BlockIndex};
+use tsdfuse::map::{Block, MapConfig, MapError, Voxel, WEIGHT_SCALE};
+
+use crate::error::Error;
+
+pub(super) const MAGIC: [u8; 8] = *b"TSDFMAP\n";
+pub(super) const VERSION: u32 = 2;
+/// Marks the beginning of a group.
+pub(super) const GROUP_MARK: [u8; 8] = *b"TSDFGRP\n";
+/// Marks the end of the groups.
+pub(super) const END_MARK: [u8; 8] = *b"TSDFEND\n";
+/// Magic, version, weight scale, voxel size, truncation, largest weight, number of integrations; its checksum follows.
+pub(super) const HEADER: usize = 40;
+/// Of version 1: the number of blocks instead of that of integrations.
+pub(super) const HEADER_1: usize = 44;
+/// Mark, number, blocks, compressed bytes, their checksum; the checksum of these follows.
+pub(super) const GROUP_HEADER: usize = 24;
+/// Mark, header, number of blocks; the checksum of these follows.
+pub(super) const END: usize = 16 + HEADER;
+/// Blocks in a group; the last one may hold fewer.
+pub(super) const GROUP: usize = 256;
+/// Three coordinates, then two sums for each voxel.
+pub(super) const BLOCK: usize = 12 + 8 * BLOCK_VOXELS;
+
+/// Why a part of the file cannot be read.
+#[derive(Debug)]
+pub(super) enum Wrong {
+    System(io::Error),
+    Reason(String),
+}
+
+impl Wrong {
+    pub(super) fn at(self, path: &Path, part: &str) -> Error {
+        match self {
+            Self::System(e) if e.kind() == io::ErrorKind::UnexpectedEof => {
+                Error::format(path, format!("the file ends within {part}"))
+            }
+            Self::System(e) => Error::io(path)(e),
+            Self::Reason(reason) => Error::format(path, format!("{part}: {reason}")),
+        }
+    }
+}
+
+impl From<io::Error> for Wrong {
+    fn from(error: io::Error) -> Self {
+        Self::System(error)
+    }
+}
+
+impl From<MapError> for Wrong {
+    fn from(error: MapError) -> Self {
+        Self::Reason(error.to_string())
+    }
+}
+
+pub(super) fn wrong<T>(reason: impl Into<String>) -> Result<T, Wrong> {
+    Err(Wrong::Reason(reason.into()))
+}
+
+pub(super) const CHANGED: &str = "the checksum is another: bytes were changed or lost";
+
+/// What stands before the blocks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Header {
+    pub(super) version: u32,
+    pub(super) config: MapConfig,
+    pub(super) integrations: u32,
+    /// Only of version 1.
+    pub(super) blocks: Option<u64>,
+}
+
+impl Header {
+    /// The bytes of version 2, without their checksum.
+    pub(super) fn bytes(config: &MapConfig, integrations: u32) -> [u8; HEADER] {
+        let mut header = Vec::with_capacity(HEADER);
+        header.extend(MAGIC);
+        header.extend(VERSION.to_le_bytes());
+        header.extend(WEIGHT_SCALE.to_le_bytes());
+        header.extend(config.voxel_size_m.to_le_bytes());
+        header.extend(config.truncation_m.to_le_bytes());
+        header.extend(config.max_weight.to_le_bytes());
+        header.extend(integrations.to_le_bytes());
+        header.try_into().unwrap_or([0; HEADER]) // they are as many
+    }
+
+    /// Reads it with its checksum.
+    pub(super) fn read(bytes: &mut impl Read) -> Result<Self, Wrong> {
+        let start: [u8; HEADER] = array(bytes)?;
+        if start[..8] != MAGIC {
+            return wrong("this is no map saved by tsdfuse");
+        }
+        let version = u32::from_le_bytes(array(&mut &start[8..])?);
+        if !(1..=VERSION).contains(&version) {
+            return wrong(format!("it has version {version}, read are versions up to {VERSION}"));
+        }
+        let rest = match version {
+            1 => array::<{ HEADER_1 - HEADER }>(bytes)?.to_vec(),
+            _ => Vec::new(),
+        };
+        if u32::from_le_bytes(array(bytes)?) != checksum(&[&start, &rest]) {
+            return wrong(CHANGED);
+        }
+        Self::parse(&[&start[..], &rest].concat())
+    }
+
+    /// Reads it without its checksum.
+    pub(super) fn parse(mut fields: &[u8]) -> Result<Self, Wrong> {
+        let fields = &mut fields;
+        let _: [u8; 8] = array(fields)?;
+        let version = u32::from_le_bytes(array(fields)?);
+        let scale = u32::from_le_bytes(array(fields)?);
+        if scale != WEIGHT_SCALE {
+            return wrong(format!("a weight of 1 is {scale}, not {WEIGHT_SCALE}"));
+        }
+        let config = MapConfig {
+            voxel_size_m: f64::from_le_bytes(array(fields)?),
+            truncation_m: f64::from_le_bytes(array(fields)?),
+            max_weight: f32::from_le_bytes(array(fields)?),
+        };
+        config.validate()?;
+        let (integrations, blocks) = match version {
+            1 => (0, Some(u64::from_le_bytes(array(fields)?))),
+            _ => (u32::from_le_bytes(array(fields)?), None),
+        };
+        Ok(Self {
+            version,
+            config,
+            integrations,
+            blocks,
+        })
+    }
+}
+
+/// What stands before the blocks of a group of version 2.
+pub(super) struct GroupHeader {
+    pub(super) number: u32,
+    pub(super) blocks: usize,
+    pub(super) length: usize,
+    checksum: u32,
+}
+
+impl GroupHeader {
+    /// The bytes, their checksum included.
+    pub(super) fn bytes(number: u32, blocks: usize, packed: &[u8]) -> Vec<u8> {
+        let mut bytes = GROUP_MARK.to_vec();
+        for field in [number, blocks as u32, packed.len() as u32, checksum(&[packed])] {
+            bytes.extend(field.to_le_bytes());
+        }
+        bytes.extend(checksum(&[&bytes]).to_le_bytes());
+        bytes
+    }
+
+    /// Reads what follows the mark.
+    pub(super) fn read(bytes: &mut impl Read) -> Result<Self, Wrong> {
+        let fields: [u8; GROUP_HEADER - 8] = array(bytes)?;
+        if u32::from_le_bytes(array(bytes)?) != checksum(&[&GROUP_MARK, &fields]) {
+            return wrong(CHANGED);
+        }
+        let mut fields = fields.as_slice();
+        let mut field = || array(&mut fields).map(u32::from_le_bytes);
+        let header = Self {
+            number: field()?,
+            blocks: field()? as usize,
+            length: field()? as usize,
+            checksum: field()?,
+        };
+        if !(1..=GROUP).contains(&header.blocks) {
+            return wrong(format!("it has {} blocks; 1 to {GROUP} are possible", header.blocks));
+        }
+        check_length(header.length, header.blocks)?;
+        Ok(header)
+    }
+
+    /// Checks the compressed bytes of its blocks and unpacks them.
+    pub(super) fn unpack(&self, packed: &[u8], plain: &mut Vec<u8>) -> Result<(), Wrong> {
+        match checksum(&[packed]) == self.checksum {
+            true => unpack(packed, self.blocks, plain),
+            false => wrong(CHANGED),
+        }
+    }
+}
+
+/// The end, its checksum included.
+pub(super) fn end_bytes(header: &[u8; HEADER], blocks: u64) -> Vec<u8> {
+    let mut bytes = END_MARK.to_vec();
+    bytes.extend(header);
+    bytes.extend(blocks.to_le_bytes());
+    bytes.extend(checksum(&[&bytes]).to_le_bytes());
+    bytes
+}
+
+/// What follows the mark of the end: the header once more, and the number of blocks.
+pub(super) fn read_end(bytes: &mut impl Read) -> Result<(Header, u64), Wrong> {
+    let fields: [u8; END - 8] = array(bytes)?;
+    if u32::from_le_bytes(array(bytes)?) != checksum(&[&END_MARK, &fields]) {
+        return wrong(CHANGED);
+    }
+    let (header, mut blocks) = fields.split_at(HEADER);
+    Ok((Header::parse(header)?, u64::from_le_bytes(array(&mut blocks)?)))
+}
+
+/// Refuses more compressed bytes than so many blocks can take.
+pub(super) fn check_length(length: usize, blocks: usize) -> Result<(), Wrong> {
+    match length > get_maximum_output_size(blocks * BLOCK) {
+        true => wrong(format!("{length} bytes are more than its blocks can take")),
+        false => Ok(()),
+    }
+}
+
+/// Unpacks the blocks of a group.
+pub(super) fn unpack(packed: &[u8], blocks: usize, plain: &mut Vec<u8>) -> Result<(), Wrong> {
+    plain.resize(blocks * BLOCK, 0);
+    match decompress_into(packed, plain) {
+        Ok(n) if n == plain.len() => Ok(()),
+        Ok(n) => wrong(format!("{n} bytes instead of {}", plain.len())),
+        Err(e) => wrong(e.to_string()),
+    }
+}
+
+/// Appends the bytes of a block.
+pub(super) fn push_block(index: BlockIndex, block: &Block, plain: &mut Vec<u8>) {
+    index.0.to_array().iter().for_each(|c| plain.extend(c.to_le_bytes()));
+    for voxel in &block.voxels {
+        plain.extend(voxel.weight_sum.to_le_bytes());
+        plain.extend(voxel.distance_sum.to_le_bytes());
+    }
+}
+
+/// The block that these bytes are.
+pub(super) fn block_of(mut bytes: &[u8]) -> io::Result<(BlockIndex, Block)> {
+    let mut coordinate = || array(&mut bytes).map(i32::from_le_bytes);
+    let index = BlockIndex(IVec3::new(coordinate()?, coordinate()?, coordinate()?));
+    let mut block = Block::EMPTY;
+    let (sums, _) = bytes.as_chunks::<4>();
+    let (sums, _) = sums.as_chunks::<2>();
+    for (voxel, &[weight, distance]) in block.voxels.iter_mut().zip(sums) {
+        *voxel = Voxel {
+            weight_sum: u32::from_le_bytes(weight),
+            distance_sum: i32::from_le_bytes(distance),
+        };
+    }
+    Ok((index, block))
+}
+
+/// CRC-32 of some parts, one after the other.
+pub(super) fn checksum(parts: &[&[u8]]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    parts.iter().for_each(|part| hasher.update(part));
+    hasher.finalize()
+}
+
+pub(super) fn array<const N: usize>(bytes: &mut impl Read) -> io::Result<[u8; N]> {
+    let mut array = [0; N];
+    bytes.read_exact(&mut array)?;
+    Ok(array)
+}

@@ -1,0 +1,159 @@
+//! What can be had of a damaged map: every group that is as it was written.
+
+use std::path::Path;
+
+use serde::Serialize;
+use tsdfuse::VoxelMap;
+
+use super::format::{
+    BLOCK, END, END_MARK, GROUP_HEADER, GROUP_MARK, GroupHeader, HEADER, Header, Wrong, block_of, read_end, wrong,
+};
+use super::reader::Reader;
+use crate::error::{Error, Result};
+
+/// What was recovered of a saved map.
+#[derive(Debug)]
+pub struct Repaired {
+    /// The blocks of all groups that are intact.
+    pub map: VoxelMap,
+    /// What was not.
+    pub damage: Damage,
+}
+
+/// What is wrong with a saved map.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Damage {
+    /// A sentence for each damaged place, in the order of the file.
+    pub places: Vec<String>,
+    /// How many blocks are lost; `None` if the end of the file is, which tells how many there were.
+    pub lost_blocks: Option<u64>,
+}
+
+/// Recovers what is intact of a saved map.
+///
+/// # Errors
+/// Names the file; if neither its header nor the copy of it at the end is intact, or if its version is 1 and it is damaged
+/// (such files have no marks to go on from).
+pub fn repair(path: impl AsRef<Path>) -> Result<Repaired> {
+    let path = path.as_ref();
+    repair_bytes(path, &std::fs::read(path).map_err(Error::io(path))?)
+}
+
+/// As [`repair`], of bytes; `path` is for messages.
+///
+/// # Errors
+/// As [`repair`].
+pub fn repair_bytes(path: &Path, bytes: &[u8]) -> Result<Repaired> {
+    let mut damage = Damage::default();
+    let end = last_end(bytes);
+    let header = match (Header::read(&mut &bytes[..]), &end) {
+        (Ok(header), _) if header.version == 1 => {
+            let map = Reader::new(path, bytes)?.map()?;
+            damage.lost_blocks = Some(0);
+            return Ok(Repaired { map, damage });
+        }
+        (Ok(header), _) => header,
+        (Err(wrong), Some((header, ..))) => {
+            damage
+                .places
+                .push(format!("{}; its copy is used", reason(wrong, "the header")));
+            *header
+        }
+        (Err(wrong), None) => return Err(wrong.at(path, "its header")),
+    };
+    let mut map = VoxelMap::new(header.config).map_err(|e| Error::format(path, e.to_string()))?;
+    map.set_integrations(header.integrations);
+
+    let (mut at, mut expected) = (HEADER + 4, 0);
+    let stop = end.map_or(bytes.len(), |(.., at)| at);
+    while at < stop {
+        match group(bytes, at, &mut map) {
+            Ok((number, next)) => {
+                if number != expected {
+                    damage.places.push(missing(expected, number));
+                }
+                (at, expected) = (next, number.saturating_add(1));
+            }
+            Err(wrong) => {
+                let next = find(bytes, at + 1, &GROUP_MARK)
+                    .filter(|&next| next < stop)
+                    .unwrap_or(stop);
+                let what = reason(wrong, &format!("bytes {at} to {}", next - 1));
+                damage.places.push(what);
+                at = next;
+            }
+        }
+    }
+    match end {
+        Some((_, blocks, at)) => {
+            let kept = map.block_count() as u64;
+            damage.lost_blocks = Some(blocks.saturating_sub(kept));
+            if at + END + 4 < bytes.len() {
+                damage.places.push("bytes follow the end".to_owned());
+            }
+        }
+        None => damage.places.push("the end is missing".to_owned()),
+    }
+    Ok(Repaired { map, damage })
+}
+
+/// Groups that did not come, counted from 1 as in all messages.
+fn missing(expected: u32, number: u32) -> String {
+    let (first, last) = (u64::from(expected) + 1, u64::from(number));
+    match first >= last {
+        true => format!("group {first} is lost"),
+        false => format!("groups {first} to {last} are lost"),
+    }
+}
+
+/// Puts the group that begins at a byte into the map; its number, and where the next one begins.
+fn group(bytes: &[u8], at: usize, map: &mut VoxelMap) -> Result<(u32, usize), Wrong> {
+    let rest = bytes.get(at..).unwrap_or_default();
+    if !rest.starts_with(&GROUP_MARK) {
+        return wrong("no group begins there");
+    }
+    let header = GroupHeader::read(&mut &rest[GROUP_MARK.len()..])?;
+    let start = GROUP_HEADER + 4;
+    let Some(packed) = rest.get(start..start + header.length) else {
+        return wrong("the file ends within them");
+    };
+    let mut plain = Vec::new();
+    header.unpack(packed, &mut plain)?;
+    for block in plain.chunks_exact(BLOCK) {
+        let (index, block) = block_of(block)?;
+        map.insert_block(index, block)?;
+    }
+    Ok((header.number, at + start + header.length))
+}
+
+/// The last intact end: the copy of the header, the number of blocks, and where it begins.
+fn last_end(bytes: &[u8]) -> Option<(Header, u64, usize)> {
+    let mut found = None;
+    // Where it should be, else anywhere.
+    let mut at = bytes.len().checked_sub(END + 4)?;
+    if !bytes[at..].starts_with(&END_MARK) {
+        at = 0;
+    }
+    while let Some(next) = find(bytes, at, &END_MARK) {
+        if let Ok((header, blocks)) = read_end(&mut &bytes[next + END_MARK.len()..]) {
+            found = Some((header, blocks, next));
+        }
+        at = next + 1;
+    }
+    found
+}
+
+/// Where a mark comes next.
+fn find(bytes: &[u8], from: usize, mark: &[u8; 8]) -> Option<usize> {
+    let rest = bytes.get(from..)?;
+    rest.windows(mark.len())
+        .position(|window| window == mark)
+        .map(|at| from + at)
+}
+
+fn reason(wrong: Wrong, part: &str) -> String {
+    match wrong {
+        Wrong::Reason(reason) => format!("{part}: {reason}"),
+        Wrong::System(_) => format!("{part}: the file ends within them"),
+    }
+}

@@ -1,0 +1,45 @@
+//! A part of a map.
+
+use glam::{DVec3, IVec3};
+
+use super::{MapError, Voxel, VoxelMap};
+use crate::index::voxel_at;
+
+impl VoxelMap {
+    /// The voxels whose centres lie in a box (world, metres; `low` included, `high` not), and nothing else. Corners may be
+    /// infinite.
+    ///
+    /// # Errors
+    /// [`MapError::Box`] if no point lies in it.
+    pub fn cropped(&self, low: DVec3, high: DVec3) -> Result<Self, MapError> {
+        // Also false for NaN.
+        if !low.cmplt(high).all() {
+            return Err(MapError::Box { low, high });
+        }
+        let size = self.config().voxel_size_m;
+        // Voxel i has its centre at i + ½; what is beyond all voxels becomes the last one.
+        let first = |corner: DVec3| (corner / size - 0.5).ceil().as_ivec3();
+        let (first, end) = (first(low), first(high));
+        let mut cropped = Self::new(self.config)?;
+        cropped.integrations = self.integrations;
+        for region in self.regions() {
+            for (index, block) in self.blocks_of(region) {
+                let inside = |voxel: IVec3| voxel.cmpge(first).all() && voxel.cmplt(end).all();
+                let (low, high) = (index.first_voxel(), index.first_voxel() + 7);
+                if high.cmplt(first).any() || low.cmpge(end).any() {
+                    continue;
+                }
+                let mut kept = block.clone();
+                for (number, voxel) in kept.voxels.iter_mut().enumerate() {
+                    if !inside(voxel_at(index, number)) {
+                        *voxel = Voxel::default();
+                    }
+                }
+                if kept.is_observed() || (inside(low) && inside(high)) {
+                    cropped.insert_block(index, kept)?;
+                }
+            }
+        }
+        Ok(cropped)
+    }
+}

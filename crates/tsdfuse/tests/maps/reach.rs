@@ -1,0 +1,67 @@
+//! What a scan can touch, before it is fused.
+
+use tsdfuse::{
+    MapConfig, Pose, Scan, VoxelMap,
+    fuse::{FuseConfig, Method},
+    glam::{DQuat, DVec3, IVec3, Vec3},
+    index::RegionIndex,
+};
+
+/// Walls: 60 m ahead, 4 m to the left, 9 m to the right.
+fn scan() -> Scan {
+    let directions = (0..3600).map(|i| (f64::from(i) + 0.5).to_radians() / 10.0);
+    let points = directions.flat_map(|azimuth| {
+        let (sin, cos) = azimuth.sin_cos();
+        let ahead = if cos > 0.0 { 60.0 / cos } else { 1.5 };
+        let beside = if sin > 0.0 { 4.0 / sin } else { -9.0 / sin };
+        let range = ahead.min(beside);
+        (-3..4).map(move |z| Vec3::new((range * cos) as f32, (range * sin) as f32, 0.3 * z as f32))
+    });
+    Scan {
+        points: points.collect(),
+        pose: Pose {
+            rotation: DQuat::from_rotation_z(0.7),
+            translation: DVec3::new(691_000.0, 5_335_000.0, 520.0),
+        },
+        ..Default::default()
+    }
+}
+
+#[test]
+fn all_that_is_updated_lies_within_reach_and_little_else() {
+    let (scan, options) = (scan(), FuseConfig::default());
+    for method in [Method::Raycast, Method::Surfel, Method::Roldao] {
+        let mut map = VoxelMap::new(MapConfig::default()).unwrap();
+        let reach = method.reach(&options, map.config(), &scan);
+        let done = method.build(&options, None).integrate(&mut map, &scan).unwrap();
+        assert!(!done.updated_blocks.is_empty(), "{method:?}");
+        let grid = map.grid();
+        for &block in &done.updated_blocks {
+            assert!(reach.touches(RegionIndex::of(block), grid), "{method:?}: {block:?}");
+        }
+        // The middle of each ray, too, and a metre to all sides of its end.
+        let region = |p: DVec3| RegionIndex((p / 3.2).floor().as_ivec3());
+        for p in scan.points_in_world() {
+            assert!(reach.touches(region(0.5 * (p + reach.center)), grid));
+            assert!(
+                [DVec3::X, DVec3::Y, DVec3::Z]
+                    .iter()
+                    .all(|&d| reach.touches(region(p + d), grid))
+            );
+            assert!(
+                [DVec3::X, DVec3::Y, DVec3::Z]
+                    .iter()
+                    .all(|&d| reach.touches(region(p - d), grid))
+            );
+        }
+        // Of the ball about the sensor, it is a small part.
+        let first = region(reach.center).0;
+        let ball = (-25..25).flat_map(|y| (-25..25).map(move |x| RegionIndex(first + IVec3::new(x, y, 0))));
+        let share = ball.filter(|&region| reach.touches(region, grid)).count();
+        assert!((50..900).contains(&share), "{method:?}: {share}");
+        // Moved along with the sensor.
+        let moved = reach.at(reach.center + DVec3::X * 320.0);
+        let there = RegionIndex(first + IVec3::new(100, 0, 0));
+        assert!(moved.touches(there, grid) && !reach.touches(there, grid));
+    }
+}
