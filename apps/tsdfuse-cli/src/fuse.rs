@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use indicatif::ProgressBar;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::scan::RangeLimits;
-use tsdfuse::{Integrator, Scan, SensorModel, VoxelMap};
+use tsdfuse::{Integration, Integrator, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::{Dataset, ReadScan};
 
 pub(crate) use args::Args;
@@ -18,6 +18,7 @@ use growing::Growing;
 pub(crate) use growing::GrowthReport;
 
 use crate::config::{RunConfig, Suggested};
+use crate::device::{OnDevice, Settled, is_full};
 use crate::exit::{Outcome, one_line};
 use crate::mesh::surface;
 use crate::progress::{self, say};
@@ -40,6 +41,8 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let config = layers.resolve(&suggested)?;
 
     let mut fusion = Fusion::new(settings, &config, suggested.sensor.as_ref())?;
+    fusion.device = args.device.open(&config, suggested.sensor.as_ref())?;
+    let device = fusion.device.as_ref().map(|device| device.name());
     fusion.growing = args.growing(&config.mesh);
     let fusing = Instant::now();
     fusion.fuse_all(&dataset, indices)?;
@@ -57,6 +60,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         version: env!("CARGO_PKG_VERSION"),
         command_line: command_line(),
         threads: rayon::current_num_threads(),
+        device,
         dataset: DatasetReport {
             path: settings.dataset.clone(),
             format: dataset.format(),
@@ -89,6 +93,9 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     if args.json {
         print_json(&report)?;
     }
+    if let Some(error) = fusion.full {
+        return Err(error.context("only the scans before are in the result"));
+    }
     Ok(if report.skipped_scans.is_empty() {
         Outcome::Complete
     } else {
@@ -102,6 +109,12 @@ pub(crate) struct Fusion {
     dataset: PathBuf,
     skip_bad: bool,
     integrator: Box<dyn Integrator>,
+    /// What fuses instead, until all scans are fused.
+    device: Option<Box<dyn OnDevice>>,
+    /// Scans whose reports are complete.
+    settled: usize,
+    /// Why not all scans are in the map.
+    full: Option<anyhow::Error>,
     pub(crate) map: VoxelMap,
     range: RangeLimits,
     growing: Option<Growing>,
@@ -116,6 +129,9 @@ impl Fusion {
             dataset: settings.dataset.clone(),
             skip_bad: settings.skip_bad,
             integrator: config.method.build(&config.methods(), sensor),
+            device: None,
+            settled: 0,
+            full: None,
             map: VoxelMap::new(config.map)?,
             range: config.range,
             growing: None,
@@ -129,7 +145,8 @@ impl Fusion {
     /// # Errors
     /// Also if none of all the scans could be fused.
     pub(crate) fn fuse_all(&mut self, dataset: &Dataset, indices: Vec<usize>) -> Result<()> {
-        self.fuse_some(dataset, indices)?;
+        let fused = self.fuse_some(dataset, indices);
+        self.leave_device(fused)?;
         self.check()
     }
 
@@ -179,8 +196,18 @@ impl Fusion {
         let start = Instant::now();
         scan.drop_invalid(&self.range);
         let dropping = start.elapsed().as_secs_f64();
-        let done = self.integrator.integrate(&mut self.map, &scan);
+        let (done, settled) = match &mut self.device {
+            None => (
+                self.integrator.integrate(&mut self.map, &scan).map_err(Into::into),
+                Vec::new(),
+            ),
+            Some(device) => match device.fuse(&scan) {
+                Ok(settled) => (Ok(Integration::default()), settled),
+                Err(error) => (Err(error), Vec::new()),
+            },
+        };
         let done = done.with_context(|| self.dataset.display().to_string())?;
+        self.settle(settled);
         let (took, prepare) = (start.elapsed().as_secs_f64(), dropping + done.prepare_secs);
         let scan = ScanReport {
             name: scan.name,
@@ -208,6 +235,30 @@ impl Fusion {
             seconds: start.elapsed().as_secs_f64(),
             updated_blocks: done.updated_blocks.len(),
         }
+    }
+
+    /// Completes the reports of the oldest scans that a device fused.
+    fn settle(&mut self, settled: Vec<Settled>) {
+        for (scan, done) in self.scans.iter_mut().skip(self.settled).zip(settled) {
+            (scan.sums.fused, scan.sums.skipped) = (done.fused, done.skipped);
+            scan.updated_blocks = done.updated_blocks;
+            self.settled += 1;
+        }
+    }
+
+    /// Waits for the device, if scans were fused there, and brings the map back. If it is full, the map has the scans before.
+    fn leave_device(&mut self, fused: Result<()>) -> Result<()> {
+        let Some(mut device) = self.device.take() else {
+            return fused;
+        };
+        match fused.and_then(|()| device.finish()) {
+            Ok(settled) => self.settle(settled),
+            Err(error) if is_full(&error) => self.full = Some(error),
+            Err(error) => return Err(error),
+        }
+        self.scans.truncate(self.settled);
+        self.map = device.map()?;
+        Ok(())
     }
 
     fn skip(&mut self, name: &str, reason: String, bar: &ProgressBar) {

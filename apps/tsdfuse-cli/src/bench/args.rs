@@ -7,6 +7,7 @@ use anyhow::Result;
 use super::method::Method;
 use super::street;
 use crate::config::{Layers, Suggested};
+use crate::device::Device;
 use crate::evaluate::forms::Form;
 use crate::exit::Usage;
 use crate::settings::Settings;
@@ -19,7 +20,8 @@ Examples:
   tsdfuse bench
   tsdfuse bench pandaset/002 --methods raycast,raycast-projective,normals
   tsdfuse bench --threads 1 --json
-  tsdfuse bench --long-drive 10000";
+  tsdfuse bench --long-drive 10000
+  tsdfuse bench --device gpu --methods raycast,normals";
 
 /// Measure this machine: seconds of each stage, and how close to the memory's limit.
 #[derive(Debug, clap::Args)]
@@ -39,6 +41,9 @@ pub(crate) struct Args {
     /// grows. Voxels are of 12.5 cm unless --voxel-size or --set says otherwise.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(20..=1_000_000))]
     pub(super) long_drive: Option<u32>,
+    /// What is measured; of a GPU, fusing, meshing, rendering and each kernel.
+    #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
+    pub(super) device: Device,
     #[command(flatten)]
     pub(super) settings: Settings,
 }
@@ -50,6 +55,9 @@ impl Args {
         forms.iter().try_for_each(|form| self.layers(Some(form)).map(drop))?;
         self.layers(None)?;
         if self.long_drive.is_some() {
+            if self.device != Device::Cpu {
+                return Err(Usage::new("--long-drive is for the CPU").into());
+            }
             if forms.len() > 1 {
                 return Err(Usage::new("--long-drive is for one method").into());
             }
