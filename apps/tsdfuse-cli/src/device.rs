@@ -5,7 +5,9 @@ use std::str::FromStr;
 
 use anyhow::Result;
 use tsdfuse::fuse::Skipped;
-use tsdfuse::{Scan, SensorModel, VoxelMap};
+use tsdfuse::mesh::{MeshConfig, extract_with};
+use tsdfuse::render::{Camera, RenderConfig, Renderer, View};
+use tsdfuse::{Mesh, Pose, Scan, SensorModel, VoxelMap};
 
 use crate::config::RunConfig;
 
@@ -41,6 +43,9 @@ impl Display for Device {
     }
 }
 
+/// Looks through a camera from a pose (`world_from_camera`).
+pub(crate) type See<'a> = Box<dyn FnMut(&Camera, Pose) -> Result<View> + 'a>;
+
 /// What became of a scan that a device fused.
 pub(crate) struct Settled {
     pub(crate) fused: u64,
@@ -56,6 +61,8 @@ pub(crate) trait OnDevice {
     fn finish(&mut self) -> Result<Vec<Settled>>;
     /// The map, with all scans that were settled.
     fn map(&self) -> Result<VoxelMap>;
+    /// Its mesh.
+    fn mesh(&self, config: &MeshConfig) -> Result<Mesh>;
 }
 
 impl Device {
@@ -74,6 +81,37 @@ impl Device {
     #[cfg(not(feature = "gpu"))]
     pub(crate) fn open(&self, _: &RunConfig, _: Option<&SensorModel>) -> Result<Option<Box<dyn OnDevice>>> {
         self.check().map(|()| None)
+    }
+
+    /// The mesh of a map.
+    pub(crate) fn mesh(&self, map: &VoxelMap, config: &MeshConfig) -> Result<Mesh> {
+        self.check()?;
+        match self {
+            #[cfg(feature = "gpu")]
+            Self::Gpu(name) => {
+                use tsdfuse_gpu::{DeviceMap, Gpu, Mesher};
+                let gpu = Gpu::open(name.as_deref())?;
+                let map = DeviceMap::upload(&gpu, map, pool(&gpu))?;
+                Ok(Mesher::new(&map)?.extract(&map, config)?)
+            }
+            _ => Ok(extract_with(map, config)?),
+        }
+    }
+
+    /// What looks at a map.
+    pub(crate) fn viewer<'a>(&self, renderer: &'a Renderer<'a>, config: &RenderConfig) -> Result<See<'a>> {
+        self.check()?;
+        match self {
+            #[cfg(feature = "gpu")]
+            Self::Gpu(name) => {
+                use tsdfuse_gpu::{DeviceMap, Gpu};
+                let gpu = Gpu::open(name.as_deref())?;
+                let map = DeviceMap::upload(&gpu, renderer.map(), pool(&gpu))?;
+                let mut renderer = tsdfuse_gpu::Renderer::new(&map, config)?;
+                Ok(Box::new(move |camera, pose| Ok(renderer.view(&map, camera, pose)?)))
+            }
+            _ => Ok(Box::new(|camera, pose| Ok(renderer.view(camera, pose)?))),
+        }
     }
 
     /// Whether this build knows the device.
@@ -142,6 +180,11 @@ impl OnDevice for OnGpu {
 
     fn map(&self) -> Result<VoxelMap> {
         Ok(self.fuser.map().download()?)
+    }
+
+    fn mesh(&self, config: &MeshConfig) -> Result<Mesh> {
+        let map = self.fuser.map();
+        Ok(tsdfuse_gpu::Mesher::new(map)?.extract(map, config)?)
     }
 }
 

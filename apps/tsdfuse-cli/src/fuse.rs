@@ -3,12 +3,13 @@
 mod args;
 mod growing;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use indicatif::ProgressBar;
 use tsdfuse::index::BlockIndex;
+use tsdfuse::mesh::MeshConfig;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::{Integration, Integrator, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::{Dataset, ReadScan};
@@ -20,12 +21,12 @@ pub(crate) use growing::GrowthReport;
 use crate::config::{RunConfig, Suggested};
 use crate::device::{OnDevice, Settled, is_full};
 use crate::exit::{Outcome, one_line};
-use crate::mesh::surface;
+use crate::mesh::{surface, surface_by};
 use crate::progress::{self, say};
 use crate::render::preview;
 use crate::report::{
-    DatasetReport, FinishReport, MapReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals, command_line,
-    left_out, peak_memory_bytes, print_json,
+    DatasetReport, FinishReport, MapReport, MeshReport, Report, SavedMap, ScanReport, SkippedScan, Sums, Totals,
+    command_line, left_out, peak_memory_bytes, print_json,
 };
 use crate::settings::{Settings, split};
 
@@ -51,7 +52,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let fusing_seconds = fusing.elapsed().as_secs_f64() - growth.as_ref().map_or(0.0, |growth| growth.seconds);
     let save = |path| SavedMap::write(&fusion.map, path);
     let saved_map = args.save_map.as_deref().map(save).transpose()?;
-    let extract = |path| surface(&fusion.map, &config.mesh, path);
+    let extract = |path| fusion.surface(&config.mesh, path);
     let mesh = args.output.as_deref().map(extract).transpose()?;
     let picture = |path| preview(&fusion.map, config.mesh.min_weight, path);
     let preview = args.preview.as_deref().map(picture).transpose()?;
@@ -109,7 +110,7 @@ pub(crate) struct Fusion {
     dataset: PathBuf,
     skip_bad: bool,
     integrator: Box<dyn Integrator>,
-    /// What fuses instead, until all scans are fused.
+    /// What fuses instead, and still has the map when all scans are fused.
     device: Option<Box<dyn OnDevice>>,
     /// Scans whose reports are complete.
     settled: usize,
@@ -248,17 +249,29 @@ impl Fusion {
 
     /// Waits for the device, if scans were fused there, and brings the map back. If it is full, the map has the scans before.
     fn leave_device(&mut self, fused: Result<()>) -> Result<()> {
-        let Some(mut device) = self.device.take() else {
+        let Some(device) = &mut self.device else {
             return fused;
         };
-        match fused.and_then(|()| device.finish()) {
-            Ok(settled) => self.settle(settled),
-            Err(error) if is_full(&error) => self.full = Some(error),
+        let settled = match fused.and_then(|()| device.finish()) {
+            Ok(settled) => settled,
+            Err(error) if is_full(&error) => {
+                self.full = Some(error);
+                Vec::new()
+            }
             Err(error) => return Err(error),
-        }
-        self.scans.truncate(self.settled);
+        };
         self.map = device.map()?;
+        self.settle(settled);
+        self.scans.truncate(self.settled);
         Ok(())
+    }
+
+    /// Extracts the mesh, where the map was made, and writes it.
+    fn surface(&self, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
+        match &self.device {
+            Some(device) => surface_by(|| device.mesh(config), &self.map, config, path),
+            None => surface(&self.map, config, path),
+        }
     }
 
     fn skip(&mut self, name: &str, reason: String, bar: &ProgressBar) {

@@ -7,14 +7,14 @@ use naga::{
     Module, TypeInner,
     valid::{Capabilities, ValidationFlags, Validator},
 };
-use tsdfuse::{fuse::FuseConfig, fuse::Method, index::BLOCK_VOXELS, map::WEIGHT_SCALE};
+use tsdfuse::{fuse::FuseConfig, fuse::Method, index::BLOCK_VOXELS, map::WEIGHT_SCALE, sensor::approx::acos_f32};
 
 use crate::{
     frame::{ALLOCATE, FUSE, Frame},
     map::{Header, POOL_FULL},
     method::{METHODS, Prepare},
     render,
-    shader::{FIND_SURFACE, FRAME, KEEP, LINES, Paging, RENDER, SURFACE, WRITE_MESH, source},
+    shader::{FIND_SURFACE, FRAME, KEEP, LINES, NORMALS, Paging, RENDER, SURFACE, WRITE_MESH, source},
     surface::Params,
 };
 
@@ -81,15 +81,15 @@ macro_rules! layout {
 
 fn frame_layout() -> Vec<(String, usize)> {
     layout!(Frame: world_x mode world_y first world_z count anchor_voxel stamp anchor_fraction voxels_per_m turn_axis
-        turn_rate velocity truncation_vox max_weight_sum times_at cells_at image_at rings columns max_range_m min_dot
-        focal image_center)
+        turn_rate velocity truncation_vox max_weight_sum heavy_sum times_at cells_at image_at rings columns max_range_m min_dot
+        camera)
 }
 
 #[test]
 fn frames_have_one_layout() {
     let source = source(PAGING, &[FRAME, KEEP]);
     assert_eq!(members(&parse(&source), "Frame"), frame_layout());
-    assert_eq!(frame_layout().last().unwrap().1 + 8, size_of::<Frame>());
+    assert_eq!(frame_layout().last().unwrap().1 + 16, size_of::<Frame>());
     // And the comparison sees two fields that changed places.
     let swapped = source
         .replace("turn_rate: f32", "x: f32")
@@ -121,7 +121,7 @@ fn views_and_hits_have_one_layout() {
 fn the_state_has_one_layout() {
     let state = members(&parse(&source(PAGING, &[])), "State");
     let offset = |name: &str| state.iter().find(|(n, _)| n == name).unwrap().1 as u64;
-    assert_eq!((offset("updated"), offset("table_mask")), (Header::SCAN, Header::BYTES));
+    assert_eq!((offset("updated"), offset("table_mask")), (Header::SCAN, Header::SIZES));
     assert_eq!(
         (offset("table_mask"), offset("capacity"), offset("list")),
         (Header::SIZES, Header::SIZES + 4, Header::LIST)
@@ -168,4 +168,28 @@ fn methods_that_do_not_run_there_are_refused_by_name() {
             assert!(error.to_string().starts_with(method.name()), "{error}");
         }
     }
+}
+
+#[test]
+fn the_arc_cosine_is_the_cpus() {
+    let list = NORMALS
+        .split("ACOS = array(")
+        .nth(1)
+        .and_then(|rest| rest.split(')').next())
+        .unwrap();
+    let numbers = list.split(',').map(str::trim).filter(|number| !number.is_empty());
+    let coefficients: Vec<f32> = numbers.map(|number| number.parse().unwrap()).collect();
+    let differing = |coefficients: &[f32]| {
+        let arc_cosine = |x: f32| {
+            let a = x.abs();
+            let angle = (1.0 - a).sqrt() * coefficients.iter().rev().fold(0.0, |sum, c| sum * a + c);
+            if x < 0.0 { std::f32::consts::PI - angle } else { angle }
+        };
+        let places = (-1000..=1000).map(|i| i as f32 * 1e-3);
+        places.filter(|&x| arc_cosine(x) != acos_f32(x)).count()
+    };
+    assert_eq!(differing(&coefficients), 0);
+    let mut off = coefficients;
+    off[3] += 1e-6;
+    assert!(differing(&off) > 100);
 }

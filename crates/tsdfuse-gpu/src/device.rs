@@ -74,14 +74,17 @@ pub struct Gpu {
     info: wgpu::AdapterInfo,
     limits: wgpu::Limits,
     /// What the device said that nobody asked for.
-    trouble: Arc<Mutex<Option<Trouble>>>,
+    trouble: Arc<Mutex<Trouble>>,
     pub(crate) timeline: Timeline,
+    /// Where what is read back lands, kept for the next time.
+    landing: Arc<Mutex<Option<wgpu::Buffer>>>,
 }
 
-#[derive(Clone, Debug)]
-enum Trouble {
-    Lost(String),
-    Error(String),
+#[derive(Clone, Debug, Default)]
+struct Trouble {
+    /// Why the device is lost. It stays so.
+    lost: Option<String>,
+    error: Option<String>,
 }
 
 impl Gpu {
@@ -116,21 +119,14 @@ impl Gpu {
         });
         let (device, queue) =
             pollster::block_on(request).map_err(|e| GpuError::NoAdapter(format!("{}: {e}", info.name)))?;
-        let trouble: Arc<Mutex<Option<Trouble>>> = Arc::default();
-        let note = {
-            let trouble = trouble.clone();
-            move |what: Trouble| {
-                trouble
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .get_or_insert(what);
-            }
-        };
-        let note_error = note.clone();
+        let trouble: Arc<Mutex<Trouble>> = Arc::default();
+        let [on_error, on_loss] = [trouble.clone(), trouble.clone()];
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            note_error(Trouble::Error(one_line(&error.to_string())));
+            lock(&on_error).error.get_or_insert(one_line(&error.to_string()));
         }));
-        device.set_device_lost_callback(move |_, message| note(Trouble::Lost(one_line(&message))));
+        device.set_device_lost_callback(move |_, why| {
+            lock(&on_loss).lost.get_or_insert(one_line(&why));
+        });
         let limits = device.limits();
         Ok(Self {
             device,
@@ -139,6 +135,7 @@ impl Gpu {
             limits,
             trouble,
             timeline: Timeline::default(),
+            landing: Arc::default(),
         })
     }
 
@@ -194,12 +191,20 @@ impl Gpu {
 
     /// What went wrong since the last time, if anything did.
     pub(crate) fn check(&self) -> Result<(), GpuError> {
-        let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).take();
-        match trouble {
-            None => Ok(()),
-            Some(Trouble::Lost(why)) => Err(GpuError::Lost(why)),
-            Some(Trouble::Error(why)) => Err(GpuError::Driver(why)),
-        }
+        let Some(error) = lock(&self.trouble).error.take() else {
+            return self.check_lost();
+        };
+        // Of a lost device errors may be heard before the loss.
+        let _ = self.device.poll(wgpu::PollType::Poll);
+        self.check_lost()?;
+        Err(GpuError::Driver(error))
+    }
+
+    fn check_lost(&self) -> Result<(), GpuError> {
+        lock(&self.trouble)
+            .lost
+            .clone()
+            .map_or(Ok(()), |why| Err(GpuError::Lost(why)))
     }
 
     /// Waits until a submission is done, or all are, and callbacks have been called.
@@ -212,30 +217,50 @@ impl Gpu {
         done.map(|_| ()).map_err(|e| GpuError::Lost(e.to_string()))
     }
 
+    /// Copies part of a buffer back, and hands it on.
+    pub(crate) fn read_with<T>(
+        &self,
+        buffer: &wgpu::Buffer,
+        offset: u64,
+        bytes: u64,
+        take: impl FnOnce(&[u8]) -> T,
+    ) -> Result<T, GpuError> {
+        if bytes == 0 {
+            return Ok(take(&[]));
+        }
+        let kept = lock(&self.landing).take().filter(|kept| kept.size() >= bytes);
+        let landing = match kept {
+            Some(kept) => kept,
+            None => {
+                let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
+                self.buffer("reading back", bytes, usage)?
+            }
+        };
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        encoder.copy_buffer_to_buffer(buffer, offset, &landing, 0, bytes);
+        let submission = self.queue.submit([encoder.finish()]);
+        landing.map_async(wgpu::MapMode::Read, ..bytes, |_| {});
+        self.wait(Some(submission))?;
+        let lost = |e: wgpu::MapRangeError| GpuError::Lost(e.to_string());
+        let taken = take(&landing.get_mapped_range(..bytes).map_err(lost)?);
+        landing.unmap();
+        *lock(&self.landing) = Some(landing);
+        Ok(taken)
+    }
+
     /// Copies part of a buffer back.
     pub(crate) fn read(&self, buffer: &wgpu::Buffer, offset: u64, bytes: u64) -> Result<Vec<u8>, GpuError> {
-        if bytes == 0 {
-            return Ok(Vec::new());
-        }
-        let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
-        let copy = self.buffer("reading back", bytes, usage)?;
-        let mut encoder = self.device.create_command_encoder(&Default::default());
-        encoder.copy_buffer_to_buffer(buffer, offset, &copy, 0, bytes);
-        let submission = self.queue.submit([encoder.finish()]);
-        copy.map_async(wgpu::MapMode::Read, .., |_| {});
-        self.wait(Some(submission))?;
-        mapped(&copy)
+        self.read_with(buffer, offset, bytes, <[u8]>::to_vec)
     }
+}
+
+/// What is locked; whoever panicked while holding it left it whole.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// No kernel takes as long, not even in software on a busy machine.
 const LONGEST_WAIT: Duration = Duration::from_secs(600);
-
-/// What a buffer holds that was mapped for reading.
-pub(crate) fn mapped(buffer: &wgpu::Buffer) -> Result<Vec<u8>, GpuError> {
-    let view = buffer.get_mapped_range(..).map_err(|e| GpuError::Lost(e.to_string()))?;
-    Ok(view.to_vec())
-}
 
 fn rank(kind: wgpu::DeviceType) -> u8 {
     match kind {
@@ -249,4 +274,50 @@ fn rank(kind: wgpu::DeviceType) -> u8 {
 
 fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{DeviceMap, Fuser, PoolConfig};
+    use tsdfuse::{MapConfig, Scan, fuse::Method, glam::Vec3};
+
+    /// A device of its own for each test; `None` where there is none and none is required.
+    fn gpu() -> Option<Gpu> {
+        let gpu = Gpu::open(None);
+        assert!(
+            gpu.is_ok() || std::env::var_os("TSDFUSE_REQUIRE_GPU").is_none(),
+            "{gpu:?}"
+        );
+        gpu.ok()
+    }
+
+    #[test]
+    fn a_lost_device_is_told_in_one_sentence_and_stays_lost() {
+        let Some(gpu) = gpu() else { return };
+        let map = DeviceMap::new(&gpu, MapConfig::default(), PoolConfig::default()).unwrap();
+        let mut fuser = Fuser::new(map, Method::Raycast, &Default::default(), None).unwrap();
+        let scan = Scan {
+            points: vec![Vec3::X; 9],
+            ..Default::default()
+        };
+        fuser.integrate(&scan).unwrap();
+        gpu.device.destroy();
+        let told = fuser.integrate(&scan).and_then(|_| fuser.finish()).unwrap_err();
+        assert!(matches!(told, GpuError::Lost(_)), "{told}");
+        assert!(!told.to_string().contains('\n'));
+        assert!(matches!(fuser.map().download(), Err(GpuError::Lost(_))));
+    }
+
+    #[test]
+    fn what_is_too_large_is_refused_by_name() {
+        let Some(gpu) = gpu() else { return };
+        let told = gpu.buffer("a scan", 1 << 60, wgpu::BufferUsages::STORAGE).unwrap_err();
+        assert!(
+            told.to_string()
+                .starts_with("a scan needs 1152921504606846976 bytes, but "),
+            "{told}"
+        );
+        gpu.check().unwrap();
+    }
 }

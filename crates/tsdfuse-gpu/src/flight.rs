@@ -7,7 +7,7 @@ use std::sync::{
 
 use wgpu::BufferUsages as Usage;
 
-use crate::device::{Gpu, GpuError, mapped};
+use crate::device::{Gpu, GpuError};
 use crate::frame::Frame;
 use crate::map::Header;
 
@@ -139,7 +139,8 @@ impl Flight {
         while self.pending.load(Ordering::Acquire) > 0 {
             gpu.wait(self.submission.clone())?;
         }
-        let header = Header::parse(&mapped(&self.counts)?);
+        let lost = |e: wgpu::MapRangeError| GpuError::Lost(e.to_string());
+        let header = Header::parse(&self.counts.get_mapped_range(..).map_err(lost)?);
         self.counts.unmap();
         Ok(header)
     }

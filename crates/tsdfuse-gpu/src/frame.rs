@@ -23,6 +23,7 @@ pub(crate) struct Frame {
     pub(crate) velocity: [f32; 3],
     pub(crate) truncation_vox: f32,
     pub(crate) max_weight_sum: u32,
+    pub(crate) heavy_sum: u32,
     pub(crate) times_at: u32,
     pub(crate) cells_at: u32,
     pub(crate) image_at: u32,
@@ -30,8 +31,9 @@ pub(crate) struct Frame {
     pub(crate) columns: u32,
     pub(crate) max_range_m: f32,
     pub(crate) min_dot: f32,
-    pub(crate) focal: [f32; 2],
-    pub(crate) image_center: [f32; 2],
+    /// Vectors of four begin at multiples of 16 bytes.
+    pub(crate) pad: [u32; 3],
+    pub(crate) camera: [f32; 4],
 }
 
 /// Makes the blocks of voxels that will be updated.

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use tsdfuse::{
     Scan, SensorModel, VoxelMap,
     fuse::{FuseConfig, FuseError, Method, Skipped},
+    map::WEIGHT_SCALE,
 };
 
 use crate::device::GpuError;
@@ -221,13 +222,16 @@ fn frames(prepared: &Prepared<'_>, map: &VoxelMap, stamp: u32, by_block: bool) -
     let mut frame = Frame::of(&prepared.scan, map)?;
     frame.stamp = stamp;
     prepared.place_columns(&mut frame);
-    // No voxel's sums may overflow before its weight is limited again. A return adds 1 at most.
+    // No voxel's sums may overflow before its weight is limited again.
     let room = MOST_WEIGHT - map.config().max_weight;
     let piece = match weight <= room {
         true if by_block => usize::MAX,
         true => MOST_RETURNS,
         false => room as usize,
     };
+    // A return adds 1 at most, and rounding half a unit.
+    let most_sum = (weight.min(piece as f32) * WEIGHT_SCALE as f32).ceil() as u32 + all as u32;
+    frame.heavy_sum = frame.max_weight_sum.saturating_sub(most_sum);
     let pieces = |mode, most: usize| {
         (0..all).step_by(most).map(move |first| Frame {
             mode,

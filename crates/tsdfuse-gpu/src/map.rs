@@ -84,12 +84,12 @@ pub(crate) struct Header {
 
 impl Header {
     /// Its bytes, and those of what follows it before the list.
-    pub(crate) const BYTES: u64 = 32;
+    pub(crate) const BYTES: u64 = 36;
     /// Where the counters of one scan begin; they end with the header.
     pub(crate) const SCAN: u64 = 8;
     /// Table mask and capacity come next, then the list.
-    pub(crate) const SIZES: u64 = 32;
-    pub(crate) const LIST: u64 = 40;
+    pub(crate) const SIZES: u64 = 36;
+    pub(crate) const LIST: u64 = 44;
 
     pub(crate) fn parse(bytes: &[u8]) -> Self {
         let word = |i| words(bytes).nth(i).unwrap_or_default();

@@ -198,24 +198,26 @@ impl Mesher {
         drop(pass);
         gpu.queue.submit([encoder.finish()]);
 
-        let [vertex_bytes, triangle_bytes] = [
-            gpu.read(&out[0], 0, vertices * VERTEX_BYTES)?,
-            gpu.read(&out[1], 0, triangles * TRIANGLE_BYTES)?,
-        ];
         let grid = map.empty.grid();
         let size = map.config().voxel_size_m;
-        let numbers: Vec<[f32; 6]> = bytemuck::pod_collect_to_vec(&vertex_bytes);
         let origins = items.iter().flat_map(|item| {
             let origin = grid.center(item.index.first_voxel());
             std::iter::repeat_n(origin, item.vertices as usize)
         });
         let origins: Vec<DVec3> = origins.collect();
-        let position = |([x, y, z, ..], origin): (&[f32; 6], &DVec3)| *origin + Vec3::new(*x, *y, *z).as_dvec3() * size;
-        mesh.vertices.par_extend(numbers.par_iter().zip(&origins).map(position));
-        mesh.normals
-            .par_extend(numbers.par_iter().map(|n| Vec3::new(n[3], n[4], n[5])));
-        mesh.triangles
-            .extend(bytemuck::pod_collect_to_vec::<u8, [u32; 3]>(&triangle_bytes));
+        let vec3 = |bytes: &[u8]| bytemuck::pod_read_unaligned::<Vec3>(bytes);
+        gpu.read_with(&out[0], 0, vertices * VERTEX_BYTES, |bytes| {
+            let numbers = bytes.par_chunks_exact(VERTEX_BYTES as usize);
+            let placed = numbers.clone().zip(&origins);
+            mesh.vertices
+                .par_extend(placed.map(|(bytes, origin)| *origin + vec3(&bytes[..12]).as_dvec3() * size));
+            mesh.normals.par_extend(numbers.map(|bytes| vec3(&bytes[12..])));
+        })?;
+        gpu.read_with(&out[1], 0, triangles * TRIANGLE_BYTES, |bytes| {
+            let numbers = bytes.par_chunks_exact(TRIANGLE_BYTES as usize);
+            mesh.triangles
+                .par_extend(numbers.map(bytemuck::pod_read_unaligned::<[u32; 3]>));
+        })?;
         Ok(())
     }
 }

@@ -2,9 +2,11 @@
 
 use std::borrow::Cow;
 
+use rayon::prelude::*;
 use tsdfuse::{
     Scan, SensorModel,
     fuse::{Beams, Cylindrical, Distance, FuseConfig, FuseError, Method, Skipped},
+    glam::Vec3,
     normals::{Estimator, NormalsConfig},
     sensor::{DepthImage, NONE, Pinhole, ScanImage, rings_of},
 };
@@ -138,8 +140,7 @@ impl Prepare {
         let as_it_is = Prepared {
             scan: Cow::Borrowed(scan),
             skipped: Skipped::default(),
-            // (5.8); ranges are those from the sensor at the time of the return.
-            weight: scan.points.iter().map(|p| p.length_recip().min(1.0)).sum(),
+            weight: weight_of(&scan.points),
             items: scan.points.len(),
             image: None,
             depth: None,
@@ -182,6 +183,14 @@ impl Prepare {
             }
         }
     }
+}
+
+/// The sum of the weights (5.8) of some returns: no voxel can get more. In parts, added in one order on any number of threads.
+fn weight_of(points: &[Vec3]) -> f32 {
+    let parts = points
+        .par_chunks(8192)
+        .map(|part| part.iter().map(|p| p.length_recip().min(1.0)).sum());
+    parts.collect::<Vec<f32>>().into_iter().sum()
 }
 
 /// The depth image of a scan.
@@ -228,8 +237,7 @@ impl Prepared<'_> {
     /// Tells kernels where these columns begin.
     pub(crate) fn place_columns(&self, frame: &mut Frame) {
         if let Some((camera, depths)) = &self.depth {
-            frame.focal = [camera.fx, camera.fy];
-            frame.image_center = [camera.cx, camera.cy];
+            frame.camera = [camera.fx, camera.fy, camera.cx, camera.cy];
             (frame.columns, frame.rings) = (camera.width, camera.height);
             frame.max_range_m = depths.iter().copied().fold(0.0, f32::max);
             return;

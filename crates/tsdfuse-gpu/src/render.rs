@@ -151,23 +151,13 @@ impl Renderer {
         pass.dispatch_workgroups(params.width.div_ceil(8), params.height.div_ceil(8), 1);
         drop(pass);
         gpu.queue.submit([encoder.finish()]);
-        let bytes = gpu.read(&image.hits, 0, image.hits.size())?;
+        let hits = gpu.read_with(&image.hits, 0, image.hits.size(), |bytes| {
+            let hits = bytes.par_chunks_exact(size_of::<DeviceHit>());
+            hits.map(|bytes| bytemuck::pod_read_unaligned::<DeviceHit>(bytes).seen())
+                .collect()
+        })?;
         self.image = Some(image);
-        let hits = bytes.par_chunks_exact(size_of::<DeviceHit>()).map(|bytes| {
-            let hit: DeviceHit = bytemuck::pod_read_unaligned(bytes);
-            (hit.range_m > 0.0).then_some(Hit {
-                range_m: hit.range_m,
-                depth_m: hit.depth_m,
-                normal: Vec3::from(hit.normal),
-                incidence_cos: hit.incidence_cos,
-                weight: hit.weight,
-            })
-        });
-        Ok(View {
-            width,
-            height,
-            hits: hits.collect(),
-        })
+        Ok(View { width, height, hits })
     }
 
     /// `None` if there is nothing to see.
@@ -204,6 +194,18 @@ impl Renderer {
             high,
             ..Params::default()
         }))
+    }
+}
+
+impl DeviceHit {
+    fn seen(self) -> Option<Hit> {
+        (self.range_m > 0.0).then_some(Hit {
+            range_m: self.range_m,
+            depth_m: self.depth_m,
+            normal: Vec3::from(self.normal),
+            incidence_cos: self.incidence_cos,
+            weight: self.weight,
+        })
     }
 }
 

@@ -43,11 +43,12 @@ impl Paging {
                 "@group(0) @binding({binding}) var<storage, read_write> pool{page}: array<atomic<u32>>;"
             );
         }
+        // Tells the weight before.
         all(
             &mut text,
-            "add_to_voxel(slot: u32, local: u32, weight: u32, distance: u32)",
-            &|p| format!("atomicAdd(&pool{p}[at], weight); atomicAdd(&pool{p}[at + 1u], distance);"),
-            "",
+            "add_to_voxel(slot: u32, local: u32, weight: u32, distance: u32) -> u32",
+            &|p| format!("atomicAdd(&pool{p}[at + 1u], distance); return atomicAdd(&pool{p}[at], weight);"),
+            "return 0u;",
         );
         all(
             &mut text,

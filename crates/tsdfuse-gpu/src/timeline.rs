@@ -1,8 +1,8 @@
 //! What each kernel takes, by the device's own clock.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
-use crate::device::{Gpu, GpuError};
+use crate::device::{Gpu, GpuError, lock};
 
 /// What one pass of a kernel took.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +38,7 @@ impl Gpu {
             ty: wgpu::QueryType::Timestamp,
             count: 2 * MOST_PASSES,
         });
-        *self.timeline.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(Recorder {
+        *lock(&self.timeline.0) = Some(Recorder {
             queries,
             passes: Vec::new(),
         });
@@ -50,7 +50,7 @@ impl Gpu {
     /// # Errors
     /// [`GpuError::Lost`] if the device is gone.
     pub fn timeline(&self) -> Result<Vec<Stage>, GpuError> {
-        let recorder = self.timeline.0.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let recorder = lock(&self.timeline.0).take();
         let Some(Recorder { queries, passes }) = recorder.filter(|r| !r.passes.is_empty()) else {
             return Ok(Vec::new());
         };
@@ -71,7 +71,7 @@ impl Gpu {
 
     /// Begins a pass of kernels, and notes it where that is wanted.
     pub(crate) fn pass<'a>(&self, encoder: &'a mut wgpu::CommandEncoder, name: &'static str) -> wgpu::ComputePass<'a> {
-        let mut recorder = self.timeline.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut recorder = lock(&self.timeline.0);
         let recorded = recorder.as_mut().filter(|r| r.passes.len() < MOST_PASSES as usize);
         let timestamp_writes = recorded.map(|recorder| {
             let at = 2 * recorder.passes.len() as u32;

@@ -41,6 +41,38 @@ fn a_gpu_makes_the_mesh_that_the_cpu_makes() {
 }
 
 #[test]
+fn a_saved_map_is_meshed_and_seen_by_both_alike() {
+    if !has_gpu() {
+        return;
+    }
+    let folder = Folder::new();
+    let set = folder.simulate("box", "box", "vlp16", 5, &[]);
+    let map = folder.text("map.tsdf");
+    tsdfuse(&["fuse", &set, "--save-map", &map]).succeeded();
+    let run = |device: &str| {
+        let (mesh, view) = (
+            folder.text(&format!("{device}.ply")),
+            folder.text(&format!("{device}.png")),
+        );
+        let device = ["--json", "--device", device];
+        let mesh = tsdfuse(&[&["mesh", &map, "-o", &mesh][..], &device].concat())
+            .succeeded()
+            .json();
+        let view = tsdfuse(&[&["render", &map, "-o", &view, "--size", "160x90"][..], &device].concat());
+        let pixels = view.succeeded().json()["views"][0]["surface_pixels"].as_u64().unwrap();
+        (
+            mesh["mesh"]["vertices"].clone(),
+            mesh["mesh"]["triangles"].clone(),
+            pixels,
+        )
+    };
+    let (cpu, gpu) = (run("cpu"), run("gpu"));
+    assert!(cpu.2 > 500, "{cpu:?}");
+    assert_eq!((&cpu.0, &cpu.1), (&gpu.0, &gpu.1));
+    assert!(gpu.2.abs_diff(cpu.2) <= cpu.2 / 500, "{cpu:?} {gpu:?}");
+}
+
+#[test]
 fn what_a_gpu_cannot_do_is_told_in_one_sentence() {
     let folder = Folder::new();
     let set = folder.simulate("box", "box", "vlp16", 2, &[]);

@@ -12,7 +12,7 @@ fn depth_in(pixel: u32) -> f32 {
 
 // The point at depth 1 that is seen at some column and row, camera's axes.
 fn ray_through(u: f32, v: f32) -> vec3<f32> {
-    return vec3(1.0, (frame.image_center.x - u) / frame.focal.x, (frame.image_center.y - v) / frame.focal.y);
+    return vec3(1.0, (frame.camera.z - u) / frame.camera.x, (frame.camera.w - v) / frame.camera.y);
 }
 
 // Makes the blocks between two places, voxels from the anchor's.
@@ -106,13 +106,14 @@ fn fuse_depth(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) 
             continue;
         }
         var updated = false;
+        var is_heavy = false;
         for (var local = lane; local < BLOCK_VOXELS; local += 64u) {
             let at = vec3<f32>(vec3(local & 7u, local >> 3u & 7u, local >> 6u));
             let x = to_camera((first + at + 0.5) * voxel_size_m);
             if !(x.x > 0.0) {
                 continue;
             }
-            let seen = frame.image_center - frame.focal * x.yz / x.x + 0.5;
+            let seen = frame.camera.zw - frame.camera.xy * x.yz / x.x + 0.5;
             if !(all(seen >= vec2(0.0)) && seen.x < f32(frame.columns) && seen.y < f32(frame.rings)) {
                 continue;
             }
@@ -120,9 +121,13 @@ fn fuse_depth(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) 
             let eta = depth - x.x; // (5.2)
             if depth > 0.0 && eta >= -truncation_m {
                 let distance = round(clamp(eta / truncation_m, -1.0, 1.0) * WEIGHT_SCALE); // (5.3)
-                add_to_voxel(slot, local, u32(WEIGHT_SCALE), bitcast<u32>(i32(distance)));
+                let before = add_to_voxel(slot, local, u32(WEIGHT_SCALE), bitcast<u32>(i32(distance)));
+                is_heavy = is_heavy || before > frame.heavy_sum;
                 updated = true;
             }
+        }
+        if is_heavy {
+            atomicOr(&state.heavy, 1u);
         }
         if updated && atomicLoad(&blocks[slot].stamp) != frame.stamp && atomicExchange(&blocks[slot].stamp, frame.stamp) != frame.stamp {
             state.list[atomicAdd(&state.updated, 1u)] = slot;

@@ -24,6 +24,8 @@ struct Frame {
     velocity: vec3<f32>,
     truncation_vox: f32,
     max_weight_sum: u32,
+    // A voxel with a larger weight sum might exceed that in this dispatch.
+    heavy_sum: u32,
     // Where columns beside the points begin in `returns`; 0: there is none.
     times_at: u32,
     cells_at: u32,
@@ -32,9 +34,8 @@ struct Frame {
     columns: u32,
     max_range_m: f32,
     min_dot: f32,
-    // A camera's focal lengths and principal point, pixels.
-    focal: vec2<f32>,
-    image_center: vec2<f32>,
+    // A camera's focal lengths, and its principal point, pixels.
+    camera: vec4<f32>,
 }
 
 @group(1) @binding(0) var<uniform> frame: Frame;

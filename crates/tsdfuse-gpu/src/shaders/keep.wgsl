@@ -1,9 +1,10 @@
 // Housekeeping of the map: after a scan, and after growing.
 
-// Limits the weights of the blocks that the scan updated, as `Voxel::limit` does: one block a workgroup, in turns.
+// Limits the weights of the blocks that the scan updated, as `Voxel::limit` does: one block a workgroup, in
+// turns. Hardly ever is there anything to do.
 @compute @workgroup_size(64)
 fn limit_weights(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    if atomicLoad(&state.flags) != 0u {
+    if atomicLoad(&state.flags) != 0u || atomicLoad(&state.heavy) == 0u {
         return;
     }
     let count = atomicLoad(&state.updated);

@@ -63,6 +63,8 @@ fn no_line(outcome: u32) -> Line {
 // The last block that this thread found, and its slot.
 var<private> last_block: vec3<i32> = vec3(0x7fffffff);
 var<private> last_slot: u32 = NONE;
+// Whether this thread met a voxel that might exceed its largest weight.
+var<private> is_heavy: bool = false;
 
 // The slot of a block that this scan updates; the first time, the block is listed.
 fn slot_to_update(block: vec3<i32>) -> u32 {
@@ -93,7 +95,8 @@ fn update(voxel: vec3<i32>, distance: f32, weight: f32) {
     if frame.mode != ALLOCATE && last_slot != NONE {
         let at = vec3<u32>(voxel & vec3(7));
         let d = i32(round(clamp(distance, -1.0, 1.0) * w));
-        add_to_voxel(last_slot, at.x | at.y << 3u | at.z << 6u, u32(w), bitcast<u32>(d));
+        let before = add_to_voxel(last_slot, at.x | at.y << 3u | at.z << 6u, u32(w), bitcast<u32>(d));
+        is_heavy = is_heavy || before > frame.heavy_sum;
     }
 }
 
@@ -145,6 +148,9 @@ fn fuse(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_
         let l = line_of(frame.first + id.x);
         if l.outcome == FUSED {
             walk(l);
+        }
+        if is_heavy {
+            atomicOr(&state.heavy, 1u);
         }
         atomicAdd(&outcomes[l.outcome], 1u);
     }

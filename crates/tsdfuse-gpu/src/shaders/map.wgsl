@@ -30,6 +30,8 @@ struct State {
     without_weight: atomic<u32>,
     // Updates whose block was not there: always 0.
     lost: atomic<u32>,
+    // Whether a voxel may be beyond its largest weight now.
+    heavy: atomic<u32>,
     // Entries of the table less 1, a power of two less 1.
     table_mask: u32,
     // Blocks that the pool has room for.
