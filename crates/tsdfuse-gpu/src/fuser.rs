@@ -104,7 +104,8 @@ impl Fuser {
     ///
     /// # Errors
     /// [`GpuError::Fuse`] if the scan cannot be fused: the map is unchanged then, and others can follow. All else is the
-    /// device's trouble; unless that is [`GpuError::Lost`], [`Self::map`] still has the scans that were reported.
+    /// device's trouble, and scans that were not reported by then are not fused; unless it is [`GpuError::Lost`],
+    /// [`Self::map`] still has the others.
     pub fn integrate(&mut self, scan: &Scan) -> Result<Vec<Fused>, GpuError> {
         scan.check().map_err(FuseError::from)?;
         while self.flights.len() >= IN_FLIGHT {
@@ -184,7 +185,10 @@ impl Fuser {
             for (later, _) in self.flights.iter().skip(1) {
                 later.wait(&self.map.gpu)?;
             }
-            self.map.make_room(header)?;
+            if let Err(error) = self.map.make_room(header) {
+                self.flights.clear();
+                return Err(error);
+            }
             let mut flights = std::mem::take(&mut self.flights);
             flights.iter_mut().for_each(|(flight, _)| self.send(flight, false));
             self.flights = flights;
@@ -230,7 +234,7 @@ fn frames(prepared: &Prepared<'_>, map: &VoxelMap, stamp: u32, by_block: bool) -
         false => room as usize,
     };
     // A return adds 1 at most, and rounding half a unit.
-    let most_sum = (weight.min(piece as f32) * WEIGHT_SCALE as f32).ceil() as u32 + all as u32;
+    let most_sum = ((weight.min(piece as f32) * WEIGHT_SCALE as f32).ceil() as u32).saturating_add(all as u32);
     frame.heavy_sum = frame.max_weight_sum.saturating_sub(most_sum);
     let pieces = |mode, most: usize| {
         (0..all).step_by(most).map(move |first| Frame {

@@ -170,7 +170,7 @@ impl DeviceMap {
         let count = u32::try_from(indices.len()).unwrap_or(u32::MAX);
         let mut device = Self::new(gpu, *map.config(), pool)?;
         if count > device.buffers.capacity {
-            device.grow_pool(count)?;
+            device.grow_pool(count, 0)?;
         }
         for (first, indices) in (0..).step_by(BATCH as usize).zip(indices.chunks(BATCH as usize)) {
             let records = indices
@@ -286,24 +286,22 @@ impl DeviceMap {
         Ok(Header::parse(&bytes))
     }
 
-    /// Makes room after a kernel found none, so that it can be repeated. No kernel may be running.
+    /// Makes room after a kernel found none, so that it can be repeated. No kernel may be running. Where that fails, the map
+    /// is as before, and kernels go on to do nothing.
     pub(crate) fn make_room(&mut self, header: Header) -> Result<(), GpuError> {
-        let blocks = header.blocks.min(self.buffers.capacity);
-        self.write(&self.buffers.state, 0, [0, blocks]);
-        if header.flags & POOL_FULL != 0 {
-            self.grow_pool(header.blocks)
-        } else {
-            self.grow_table()
+        if header.flags & POOL_FULL == 0 {
+            return self.grow_table();
         }
+        self.grow_pool(header.blocks, header.blocks.min(self.buffers.capacity))
     }
 
-    /// Makes room for at least so many blocks.
-    fn grow_pool(&mut self, blocks: u32) -> Result<(), GpuError> {
+    /// Makes room for at least `wanted` blocks; `have` are there.
+    fn grow_pool(&mut self, wanted: u32, have: u32) -> Result<(), GpuError> {
         let most = self.paging.most_blocks();
-        if blocks > most || self.buffers.capacity == most {
+        if wanted > most || self.buffers.capacity == most {
             return Err(GpuError::TooManyBlocks { blocks: most.into() });
         }
-        let capacity = self.buffers.capacity.saturating_mul(2).max(blocks).min(most);
+        let capacity = self.buffers.capacity.saturating_mul(2).max(wanted).min(most);
         // Whole pages beyond the first one.
         let page = self.paging.blocks();
         let capacity = if capacity > page {
@@ -311,17 +309,19 @@ impl DeviceMap {
         } else {
             capacity
         };
-        let mut grown = self.buffers.grown(&self.gpu, self.paging, capacity)?;
-        std::mem::swap(&mut self.buffers, &mut grown);
+        self.buffers = self.buffers.grown(&self.gpu, self.paging, capacity)?;
         self.rebind()?;
+        self.write(&self.buffers.state, 0, [0, have]);
         self.fill_table()
     }
 
     /// Doubles the table.
     fn grow_table(&mut self) -> Result<(), GpuError> {
-        self.buffers.entries = self.buffers.entries.saturating_mul(2);
-        self.buffers.table = new_table(&self.gpu, self.buffers.entries)?;
+        let entries = self.buffers.entries.saturating_mul(2);
+        self.buffers.table = new_table(&self.gpu, entries)?;
+        self.buffers.entries = entries;
         self.rebind()?;
+        self.write(&self.buffers.state, 0, [0]);
         self.fill_table()
     }
 
@@ -340,11 +340,10 @@ impl DeviceMap {
         pass.dispatch_workgroups(self.buffers.capacity.div_ceil(64).min(1024), 1, 1);
         drop(pass);
         self.gpu.queue.submit([encoder.finish()]);
-        if self.header()?.flags != 0 {
-            self.write(&self.buffers.state, 0, [0]);
-            return self.grow_table();
+        match self.header()?.flags {
+            0 => Ok(()),
+            _ => self.grow_table(),
         }
-        Ok(())
     }
 
     fn write_sizes(&self) {

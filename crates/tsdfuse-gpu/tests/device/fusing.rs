@@ -306,6 +306,10 @@ fn a_full_device_says_so_and_keeps_the_scans_before() {
         told,
         "the map needs more than 1024 blocks, which is all that this GPU can hold"
     );
+    // And again, whatever comes next.
+    assert!(fuser.finish().unwrap().is_empty());
+    fuser.integrate(&small).unwrap();
+    assert_eq!(fuser.finish().unwrap_err().to_string(), told);
     let (want, _) = on_cpu(
         &[small],
         Method::Raycast,
