@@ -19,6 +19,8 @@ pub(crate) use args::Args;
 
 use crate::config::Suggested;
 use crate::device::Device;
+#[cfg(not(feature = "gpu"))]
+use crate::device::gpu; // says that there is none
 use crate::exit::{Outcome, one_line};
 use crate::machine::Machine;
 use crate::progress;
@@ -53,11 +55,9 @@ struct Data {
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     args.check()?;
     args.settings.set_threads()?;
-    #[cfg(feature = "gpu")]
     if let Device::Gpu(name) = &args.device {
         return gpu::run(args, name.as_deref());
     }
-    args.device.check()?;
     match args.long_drive {
         Some(scans) => long_drive::run(args, scans as usize),
         None => compare(args),

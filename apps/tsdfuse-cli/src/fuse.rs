@@ -19,7 +19,7 @@ use growing::Growing;
 pub(crate) use growing::GrowthReport;
 
 use crate::config::{RunConfig, Suggested};
-use crate::device::{OnDevice, Settled, is_full};
+use crate::device::{OnDevice, Settled, gpu::is_full};
 use crate::exit::{Outcome, one_line};
 use crate::mesh::{surface, surface_by};
 use crate::progress::{self, say};

@@ -15,7 +15,7 @@ use tsdfuse_gpu::{DeviceMap, Fuser, Gpu, Mesher, Renderer};
 use super::method::Method;
 use super::{Args, settings};
 use crate::config::{RunConfig, Suggested};
-use crate::device::pool;
+use crate::device::gpu::pool;
 use crate::evaluate::results::median;
 use crate::exit::{Outcome, one_line};
 use crate::machine::Machine;
