@@ -2,6 +2,8 @@
 
 mod args;
 mod changes;
+#[cfg(feature = "gpu")]
+mod gpu;
 mod limits;
 mod long_drive;
 mod method;
@@ -16,6 +18,9 @@ use tempfile::TempDir;
 pub(crate) use args::Args;
 
 use crate::config::Suggested;
+use crate::device::Device;
+#[cfg(not(feature = "gpu"))]
+use crate::device::gpu; // says that there is none
 use crate::exit::{Outcome, one_line};
 use crate::machine::Machine;
 use crate::progress;
@@ -50,6 +55,9 @@ struct Data {
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     args.check()?;
     args.settings.set_threads()?;
+    if let Device::Gpu(name) = &args.device {
+        return gpu::run(args, name.as_deref());
+    }
     match args.long_drive {
         Some(scans) => long_drive::run(args, scans as usize),
         None => compare(args),

@@ -14,7 +14,7 @@ use indicatif::ProgressBar;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::scan::RangeLimits;
-use tsdfuse::{Integrator, Pose, Scan, SensorModel, VoxelMap};
+use tsdfuse::{Integration, Integrator, Pose, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::{Dataset, ReadScan};
 
 pub(crate) use args::{Args, Memory};
@@ -27,8 +27,9 @@ use paging::{AHEAD, Paging, Progress, Resumed};
 pub(crate) use resume::{Args as ResumeArgs, run as resume};
 
 use crate::config::{RunConfig, Suggested};
+use crate::device::{OnDevice, Settled, gpu::is_full};
 use crate::exit::{Outcome, one_line};
-use crate::mesh::surface;
+use crate::mesh::{surface, surface_by};
 use crate::progress::{self, say};
 use crate::render::preview;
 use crate::report::{
@@ -78,6 +79,8 @@ fn run_from(args: &Args, resumed: Option<Resumed>) -> Result<Outcome> {
     }
     let indices = indices.split_off(fusion.done().min(indices.len()));
     fusion.growing = args.growing(&config.mesh, &fusion.map);
+    fusion.device = args.device.open(&config, suggested.sensor.as_ref())?;
+    let device = fusion.device.as_ref().map(|device| device.name());
     let fusing = Instant::now();
     fusion.fuse_all(&dataset, indices)?;
     let finish = fusion.finish();
@@ -93,6 +96,7 @@ fn run_from(args: &Args, resumed: Option<Resumed>) -> Result<Outcome> {
         version: env!("CARGO_PKG_VERSION"),
         command_line: command_line(),
         threads: rayon::current_num_threads(),
+        device,
         dataset: DatasetReport {
             path: settings.dataset.clone(),
             format: dataset.format(),
@@ -127,6 +131,9 @@ fn run_from(args: &Args, resumed: Option<Resumed>) -> Result<Outcome> {
     if args.json {
         print_json(&report)?;
     }
+    if let Some(error) = fusion.full {
+        return Err(error.context("only the scans before are in the result"));
+    }
     Ok(if report.skipped_scans.is_empty() {
         Outcome::Complete
     } else {
@@ -140,6 +147,12 @@ pub(crate) struct Fusion {
     dataset: PathBuf,
     skip_bad: bool,
     integrator: Box<dyn Integrator>,
+    /// What fuses instead, and still has the map when all scans are fused.
+    device: Option<Box<dyn OnDevice>>,
+    /// Scans whose reports are complete.
+    settled: usize,
+    /// Why not all scans are in the map.
+    full: Option<anyhow::Error>,
     pub(crate) map: VoxelMap,
     range: RangeLimits,
     growing: Option<Growing>,
@@ -157,6 +170,9 @@ impl Fusion {
             dataset: settings.dataset.clone(),
             skip_bad: settings.skip_bad,
             integrator: config.method.build(&config.methods(), sensor),
+            device: None,
+            settled: 0,
+            full: None,
             map: VoxelMap::new(config.map)?,
             range: config.range,
             growing: None,
@@ -183,7 +199,8 @@ impl Fusion {
     /// # Errors
     /// Also if none of all the scans could be fused.
     pub(crate) fn fuse_all(&mut self, dataset: &Dataset, indices: Vec<usize>) -> Result<()> {
-        self.fuse_some(dataset, indices)?;
+        let fused = self.fuse_some(dataset, indices);
+        self.leave_device(fused)?;
         self.commit()?;
         self.check()
     }
@@ -245,11 +262,21 @@ impl Fusion {
         if let Some(paging) = &mut self.paging {
             paging.before(&mut self.map, &scan, ahead)?;
         }
-        let done = self.integrator.integrate(&mut self.map, &scan);
+        let (done, settled) = match &mut self.device {
+            None => (
+                self.integrator.integrate(&mut self.map, &scan).map_err(Into::into),
+                Vec::new(),
+            ),
+            Some(device) => match device.fuse(&scan) {
+                Ok(settled) => (Ok(Integration::default()), settled),
+                Err(error) => (Err(error), Vec::new()),
+            },
+        };
         let done = done.with_context(|| self.dataset.display().to_string())?;
         if let Some(paging) = &mut self.paging {
             paging.after(&mut self.map, &done.updated_blocks)?;
         }
+        self.settle(settled);
         let (took, prepare) = (start.elapsed().as_secs_f64(), dropping + done.prepare_secs);
         let scan = ScanReport {
             name: scan.name,
@@ -277,6 +304,34 @@ impl Fusion {
             seconds: start.elapsed().as_secs_f64(),
             updated_blocks: done.updated_blocks.len(),
         }
+    }
+
+    /// Completes the reports of the oldest scans that a device fused.
+    fn settle(&mut self, settled: Vec<Settled>) {
+        for (scan, done) in self.scans.iter_mut().skip(self.settled).zip(settled) {
+            (scan.sums.fused, scan.sums.skipped) = (done.fused, done.skipped);
+            scan.updated_blocks = done.updated_blocks;
+            self.settled += 1;
+        }
+    }
+
+    /// Waits for the device, if scans were fused there, and brings the map back. If it is full, the map has the scans before.
+    fn leave_device(&mut self, fused: Result<()>) -> Result<()> {
+        let Some(device) = &mut self.device else {
+            return fused;
+        };
+        let settled = match fused.and_then(|()| device.finish()) {
+            Ok(settled) => settled,
+            Err(error) if is_full(&error) => {
+                self.full = Some(error);
+                Vec::new()
+            }
+            Err(error) => return Err(error),
+        };
+        self.map = device.map()?;
+        self.settle(settled);
+        self.scans.truncate(self.settled);
+        Ok(())
     }
 
     fn skip(&mut self, name: &str, reason: String, bar: &ProgressBar) {
@@ -328,9 +383,10 @@ impl Fusion {
 
     /// Extracts the surface, which must not be empty, and writes it.
     pub(crate) fn surface(&mut self, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
-        match &mut self.paging {
-            Some(paging) => paging.surface(&mut self.map, config, path),
-            None => surface(&self.map, config, path),
+        match (&mut self.paging, &self.device) {
+            (Some(paging), _) => paging.surface(&mut self.map, config, path),
+            (None, Some(device)) => surface_by(|| device.mesh(config), &self.map, config, path),
+            (None, None) => surface(&self.map, config, path),
         }
     }
 

@@ -5,9 +5,10 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use serde::Serialize;
-use tsdfuse::VoxelMap;
 use tsdfuse::mesh::{MeshConfig, extract_with};
+use tsdfuse::{Mesh, VoxelMap};
 
+use crate::device::Device;
 use crate::exit::{Outcome, Usage};
 use crate::output;
 use crate::progress;
@@ -30,6 +31,9 @@ pub(crate) struct Args {
     /// Voxels of less weight do not become surface.
     #[arg(long, value_name = "W", default_value_t = MeshConfig::default().min_weight)]
     min_weight: f32,
+    /// What extracts it.
+    #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
+    device: Device,
     /// Print what was done as JSON.
     #[arg(long)]
     json: bool,
@@ -60,7 +64,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         read_seconds: start.elapsed().as_secs_f64(),
         map: MapReport::of(&map),
         config,
-        mesh: surface(&map, &config, &args.output)?,
+        mesh: surface_by(|| args.device.mesh(&map, &config), &map, &config, &args.output)?,
     };
     done.map.summarize(None);
     done.mesh.summarize();
@@ -73,9 +77,19 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
 
 /// Extracts the mesh, which must not be empty, and writes it.
 pub(crate) fn surface(map: &VoxelMap, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
+    surface_by(|| Ok(extract_with(map, config)?), map, config, path)
+}
+
+/// As [`surface`], where something else extracts the map's mesh.
+pub(crate) fn surface_by(
+    extract: impl FnOnce() -> Result<Mesh>,
+    map: &VoxelMap,
+    config: &MeshConfig,
+    path: &Path,
+) -> Result<MeshReport> {
     let start = Instant::now();
     let spinner = progress::working("extracting the surface");
-    let mesh = extract_with(map, config)?;
+    let mesh = extract()?;
     drop(spinner);
     if mesh.triangles.is_empty() {
         bail!(

@@ -14,6 +14,7 @@ use tsdfuse::render::{Camera, ImageKind, RenderConfig, Renderer};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Pose, SensorModel, VoxelMap};
 
+use crate::device::{Device, See};
 use crate::exit::{Outcome, Usage};
 use crate::output;
 use crate::progress::{self, note, say};
@@ -99,6 +100,9 @@ pub(crate) struct Args {
     /// Print what was done as JSON.
     #[arg(long)]
     json: bool,
+    /// What renders.
+    #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
+    device: Device,
 }
 
 /// What was done. Times are seconds of wall time.
@@ -150,6 +154,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let spinner = progress::working("rendering");
     let preparing = Instant::now();
     let renderer = prepare(&map, &config)?;
+    let mut see = args.device.viewer(&renderer, &config)?;
     let prepare_seconds = preparing.elapsed().as_secs_f64();
     let poses = look.poses(&renderer, &pinhole);
     let camera = sensor.clone().map_or(Camera::Pinhole(pinhole), Camera::Lidar);
@@ -159,7 +164,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
             .iter()
             .map(|&kind| (kind, name(&args.output, number, poses.len(), kind, kinds.len())))
             .collect();
-        views.push(ViewReport::make(&renderer, &camera, *pose, &files)?);
+        views.push(ViewReport::make(&mut see, &camera, *pose, &files)?);
     }
     drop(spinner);
     let done = Done {
@@ -191,7 +196,8 @@ pub(crate) fn preview(map: &VoxelMap, min_weight: f32, path: &Path) -> Result<Vi
     let pose = Look::Overview.poses(&renderer, &camera);
     let pose = pose.first().context("the map has no surface")?;
     let file = (ImageKind::Shaded, path.to_owned());
-    ViewReport::make(&renderer, &Camera::Pinhole(camera), *pose, &[file])
+    let mut see = Device::Cpu.viewer(&renderer, &config)?;
+    ViewReport::make(&mut see, &Camera::Pinhole(camera), *pose, &[file])
 }
 
 /// Prepares a map, which must not be without surface.
@@ -216,9 +222,9 @@ impl Args {
 }
 
 impl ViewReport {
-    fn make(renderer: &Renderer, camera: &Camera, pose: Pose, files: &[(ImageKind, PathBuf)]) -> Result<Self> {
+    fn make(see: &mut See<'_>, camera: &Camera, pose: Pose, files: &[(ImageKind, PathBuf)]) -> Result<Self> {
         let start = Instant::now();
-        let view = renderer.view(camera, pose)?;
+        let view = see(camera, pose)?;
         let seconds = start.elapsed().as_secs_f64();
         for (kind, path) in files {
             tsdfuse_io::png::write(path, &view.image(*kind))?;

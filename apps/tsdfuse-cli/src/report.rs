@@ -31,6 +31,8 @@ pub(crate) struct Report {
     pub(crate) command_line: Vec<String>,
     /// Threads that fused.
     pub(crate) threads: usize,
+    /// The GPU that fused, if one did.
+    pub(crate) device: Option<String>,
     /// What was read.
     pub(crate) dataset: DatasetReport,
     /// With what it was fused.
@@ -265,7 +267,13 @@ impl Report {
             seconds,
         } = &self.totals;
         let rate = *scans as f64 / seconds;
-        say(format_args!("{scans} scans fused in {seconds:.2} s, {rate:.1} scans/s"));
+        let on = self
+            .device
+            .as_ref()
+            .map_or(String::new(), |device| format!(" on {device}"));
+        say(format_args!(
+            "{scans} scans fused in {seconds:.2} s, {rate:.1} scans/s{on}"
+        ));
         let (points, fused) = (HumanCount(sums.points), HumanCount(sums.fused));
         say(format_args!("  points   {fused} of {points} fused{}", left_out(sums)));
         self.map.summarize(self.peak_memory_bytes);

@@ -147,7 +147,7 @@ pub struct Anchor {
 
 impl Anchor {
     /// The voxel that holds the origin, and the position within it, in voxels.
-    pub(crate) fn split(&self) -> (IVec3, DVec3) {
+    pub fn split(&self) -> (IVec3, DVec3) {
         (self.base, self.fraction)
     }
 

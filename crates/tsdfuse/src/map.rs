@@ -183,6 +183,11 @@ impl MapConfig {
         }
     }
 
+    /// The largest weight sum (fixed point, [`WEIGHT_SCALE`]) that a voxel holds: [`Self::max_weight`].
+    pub fn max_weight_sum(&self) -> u32 {
+        ((f64::from(self.max_weight) * f64::from(WEIGHT_SCALE)).round() as u32).max(1)
+    }
+
     /// μ/κ, the truncation in voxels.
     pub fn truncation_vox(&self) -> f32 {
         (self.truncation_m / self.voxel_size_m) as f32
@@ -497,7 +502,7 @@ impl VoxelMap {
     /// Numbers the integration that begins, and tells it the limit of weights in fixed point.
     pub(crate) fn begin_integration(&mut self) -> (u32, u32) {
         self.integrations = self.integrations.wrapping_add(1).max(1);
-        (self.integrations, weight_limit(self.config.max_weight))
+        (self.integrations, self.config.max_weight_sum())
     }
 
     /// How many scans (or images made of scans) were fused so far. Methods that do something once in so many scans go by
@@ -636,11 +641,6 @@ pub(crate) fn fixed(distance: f32, weight: f32) -> (i32, i32) {
 /// The smallest weight sum that makes a weight of at least `min_weight`.
 pub(crate) fn min_weight_sum(min_weight: f32) -> u32 {
     (min_weight.max(0.0) * WEIGHT_SCALE as f32).ceil() as u32
-}
-
-/// The fixed-point form of a weight limit.
-fn weight_limit(max_weight: f32) -> u32 {
-    ((f64::from(max_weight) * f64::from(WEIGHT_SCALE)).round() as u32).max(1)
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use anyhow::Result;
 use super::method::Method;
 use super::street;
 use crate::config::{Layers, Suggested};
+use crate::device::Device;
 use crate::evaluate::forms::Form;
 use crate::exit::Usage;
 use crate::fuse::Memory;
@@ -21,7 +22,8 @@ Examples:
   tsdfuse bench pandaset/002 --methods raycast,raycast-projective,normals
   tsdfuse bench --threads 1 --json
   tsdfuse bench --long-drive 10000
-  tsdfuse bench --long-drive 16000 --memory 512M";
+  tsdfuse bench --long-drive 16000 --memory 512M
+  tsdfuse bench --device gpu --methods raycast,normals";
 
 /// Measure this machine: seconds of each stage, and how close to the memory's limit.
 #[derive(Debug, clap::Args)]
@@ -44,6 +46,9 @@ pub(crate) struct Args {
     /// Drive with no more blocks of the map in memory than this; then extract the surface of all of it, and tell how much file it takes.
     #[arg(long, value_name = "SIZE", requires = "long_drive")]
     pub(super) memory: Option<Memory>,
+    /// What is measured; of a GPU, fusing, meshing, rendering and each kernel.
+    #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
+    pub(super) device: Device,
     #[command(flatten)]
     pub(super) settings: Settings,
 }
@@ -55,6 +60,9 @@ impl Args {
         forms.iter().try_for_each(|form| self.layers(Some(form)).map(drop))?;
         self.layers(None)?;
         if self.long_drive.is_some() {
+            if self.device != Device::Cpu {
+                return Err(Usage::new("--long-drive is for the CPU").into());
+            }
             if forms.len() > 1 {
                 return Err(Usage::new("--long-drive is for one method").into());
             }

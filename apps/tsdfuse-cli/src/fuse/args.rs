@@ -11,6 +11,7 @@ use tsdfuse::fuse::Method;
 use tsdfuse::mesh::MeshConfig;
 
 use super::growing::Growing;
+use crate::device::Device;
 use crate::exit::Usage;
 use crate::output;
 use crate::settings::{Settings, hold_out_range};
@@ -58,6 +59,9 @@ pub(crate) struct Args {
     #[arg(long, value_parser = PossibleValuesParser::new(Method::ALL.iter().map(|m| m.name())),
         help = format!("How scans are fused [default: {}, or depth for depth cameras]", Method::default().name()))]
     pub(super) method: Option<String>,
+    /// What fuses: the CPU, or a GPU (of several, the one whose name contains NAME).
+    #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
+    pub(super) device: Device,
     #[command(flatten)]
     pub(super) settings: Settings,
     /// Leave out the middle one of each K scans, to see how well the others foretell it (`tsdfuse evaluate` does).
@@ -107,9 +111,17 @@ impl Args {
 
     /// Finds out before the work, not after it, that its results could not be written.
     pub(super) fn check_outputs(&self) -> Result<()> {
+        let elsewhere = self.memory.is_some() || self.store.is_some() || self.load_map.is_some();
+        if elsewhere && self.device != Device::Cpu {
+            let told = "--memory, --store and --load-map are for maps that the CPU fuses: leave out --device";
+            return Err(Usage::new(told).into());
+        }
         if let Some(mesh) = &self.output {
             if self.mesh_every.is_some() && mesh.as_os_str() == "-" {
                 return Err(Usage::new("--mesh-every needs a file as --output, not standard output").into());
+            }
+            if self.mesh_every.is_some() && self.device != Device::Cpu {
+                return Err(Usage::new("--mesh-every follows a map that the CPU fuses: leave out --device").into());
             }
             output::check_mesh(mesh, self.json)?;
         }

@@ -7,6 +7,8 @@ mod bench;
 mod eval;
 mod evaluate;
 mod fuse;
+#[cfg(feature = "gpu")]
+mod gpu;
 mod help;
 mod info;
 mod map;

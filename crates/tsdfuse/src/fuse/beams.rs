@@ -8,13 +8,13 @@ use crate::{
 
 /// A sensor's model, once it is known.
 #[derive(Debug, Default)]
-pub(crate) struct Beams {
+pub struct Beams {
     model: Option<SensorModel>,
 }
 
 impl Beams {
     /// The given model; without one, the first scan decides which one it is.
-    pub(crate) fn new(model: Option<SensorModel>) -> Self {
+    pub fn new(model: Option<SensorModel>) -> Self {
         Self { model }
     }
 
@@ -22,7 +22,7 @@ impl Beams {
     ///
     /// # Errors
     /// [`FuseError::Unorganized`] if no beams show in the scan, or if the given model is none.
-    pub(crate) fn of(&mut self, scan: &Scan) -> Result<&SensorModel, FuseError> {
+    pub fn of(&mut self, scan: &Scan) -> Result<&SensorModel, FuseError> {
         let unorganized = |reason: String| FuseError::Unorganized {
             scan: scan.name.clone(),
             reason,

@@ -40,7 +40,10 @@ impl Cylindrical {
     /// The scan as its image has it: a return at the centre of each filled pixel.
     ///
     /// Returns are projected as the sensor measured them, each at its own time; motion is undone afterwards.
-    fn round(&mut self, scan: &Scan) -> Result<(Scan, Skipped), FuseError> {
+    ///
+    /// # Errors
+    /// [`FuseError`] if no beams show in the scan.
+    pub fn round(&mut self, scan: &Scan) -> Result<(Scan, Skipped), FuseError> {
         let sensor = self.beams.of(scan)?;
         let phase = Projection::phase_of(&scan.points, sensor.columns);
         // A row more on both sides: the outermost beams have their tolerances.

@@ -24,6 +24,7 @@ mod surfel;
 
 use serde::{Deserialize, Serialize};
 
+pub use beams::Beams;
 pub use caminal::{Caminal, CaminalConfig};
 pub use cylindrical::Cylindrical;
 pub use depth::Depth;

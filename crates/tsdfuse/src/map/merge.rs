@@ -1,6 +1,6 @@
 //! Maps of two parts of a log make the map of the whole log: their sums are added.
 
-use super::{Block, MapError, Voxel, VoxelMap, check_block, shard_of, weight_limit};
+use super::{Block, MapError, Voxel, VoxelMap, check_block, shard_of};
 use crate::index::BlockIndex;
 
 impl VoxelMap {
@@ -31,7 +31,7 @@ impl VoxelMap {
     /// As [`VoxelMap::insert_block`], which see; but the block may be there.
     pub fn add_block(&mut self, index: BlockIndex, block: &Block) -> Result<u64, MapError> {
         check_block(index, block)?;
-        let limit = weight_limit(self.config.max_weight);
+        let limit = self.config.max_weight_sum();
         let shard = &mut self.shards[shard_of(index)];
         let slot = shard.slot_or_insert(index);
         let own = &mut shard.blocks_mut()[slot as usize];

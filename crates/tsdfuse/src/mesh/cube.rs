@@ -80,7 +80,9 @@ fn edge_between(a: usize, b: usize) -> usize {
         .unwrap_or_default()
 }
 
-pub(super) fn triangles(negative: usize) -> Vec<[u8; 3]> {
+/// The triangles of a case, `negative` having bit c for each corner c behind the surface: three edges each, counter-clockwise
+/// seen from the positive side. Edge 4·axis + k runs along `axis` from the k-th corner (c = x + 2y + 4z) whose bit `axis` is 0.
+pub fn triangles(negative: usize) -> Vec<[u8; 3]> {
     let is_negative = |corner: usize| negative >> corner & 1 == 1;
     // The segment that follows each crossed edge on the way around the surface.
     let mut next = [None; 12];

@@ -17,6 +17,7 @@ use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 pub use changes::{Changes, Piece};
+pub use cube::triangles as cube_triangles;
 pub use extract::{extract, extract_with};
 pub use incremental::Incremental;
 
@@ -62,7 +63,7 @@ impl MeshConfig {
     }
 
     /// Voxels with a smaller weight sum count as never observed. (No weight sum is beyond an i32.)
-    pub(crate) fn min_weight_sum(self) -> i32 {
+    pub fn min_weight_sum(self) -> i32 {
         min_weight_sum(self.min_weight).clamp(1, i32::MAX as u32) as i32
     }
 }

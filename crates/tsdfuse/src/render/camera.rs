@@ -36,7 +36,7 @@ impl Camera {
     }
 
     /// The longest range it measures.
-    pub(super) fn max_range_m(&self) -> f32 {
+    pub fn max_range_m(&self) -> f32 {
         match self {
             Self::Pinhole(_) => f32::INFINITY,
             Self::Lidar(model) => model.max_range_m,
@@ -44,19 +44,23 @@ impl Camera {
     }
 
     /// The rays of its pixels.
-    pub(super) fn rays(&self) -> Rays<'_> {
-        match self {
-            Self::Pinhole(camera) => Rays::Pinhole(camera),
-            Self::Lidar(model) => Rays::Lidar {
+    pub fn rays(&self) -> Rays<'_> {
+        Rays(match self {
+            Self::Pinhole(camera) => Kind::Pinhole(camera),
+            Self::Lidar(model) => Kind::Lidar {
                 projection: Projection::new(model),
                 top: model.rings() - 1,
             },
-        }
+        })
     }
 }
 
 /// The rays of a camera's pixels.
-pub(super) enum Rays<'a> {
+#[derive(Debug)]
+pub struct Rays<'a>(Kind<'a>);
+
+#[derive(Debug)]
+enum Kind<'a> {
     Pinhole(&'a Pinhole),
     Lidar { projection: Projection, top: usize },
 }
@@ -64,14 +68,14 @@ pub(super) enum Rays<'a> {
 impl Rays<'_> {
     /// The unit vector (sensor frame) along which a pixel looks, and the depth of what is seen at range 1 there.
     #[inline]
-    pub(super) fn of(&self, column: usize, row: usize) -> (DVec3, f32) {
-        match self {
-            Self::Pinhole(camera) => {
+    pub fn of(&self, column: usize, row: usize) -> (DVec3, f32) {
+        match &self.0 {
+            Kind::Pinhole(camera) => {
                 let ray: Vec3 = camera.ray(column as f32, row as f32);
                 let direction = ray.as_dvec3().normalize();
                 (direction, direction.x as f32)
             }
-            Self::Lidar { projection, top } => {
+            Kind::Lidar { projection, top } => {
                 let pixel = Pixel {
                     row: (top - row) as f64,
                     column: column as f64,

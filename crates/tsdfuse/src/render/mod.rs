@@ -42,7 +42,7 @@ use crate::pose::PoseError;
 use crate::sensor::{PinholeError, SensorError};
 use crate::{Pose, VoxelMap};
 
-pub use camera::Camera;
+pub use camera::{Camera, Rays};
 pub use cast::Ray;
 pub use image::{DEPTH_PER_M, Image, ImageKind, Pixels, WEIGHT_RANGE};
 pub use orbit::{overview, turntable};

@@ -1,0 +1,195 @@
+//! What both sides must agree on, checked without a GPU: kernels are parsed as the driver's compiler would, and their
+//! structs and constants compared with those of the host and of the CPU's map.
+
+use std::mem::offset_of;
+
+use naga::{
+    Module, TypeInner,
+    valid::{Capabilities, ValidationFlags, Validator},
+};
+use tsdfuse::{fuse::FuseConfig, fuse::Method, index::BLOCK_VOXELS, map::WEIGHT_SCALE, sensor::approx::acos_f32};
+
+use crate::{
+    frame::{ALLOCATE, FUSE, Frame},
+    map::{Header, POOL_FULL},
+    method::{METHODS, Prepare},
+    render,
+    shader::{FIND_SURFACE, FRAME, KEEP, LINES, NORMALS, Paging, RENDER, SURFACE, WRITE_MESH, source},
+    surface::Params,
+};
+
+const PAGING: Paging = Paging { pages: 3, shift: 5 };
+
+/// All kernels, by name.
+fn sources() -> Vec<(String, String)> {
+    let mut all = vec![("keep".to_owned(), source(PAGING, &[FRAME, KEEP]))];
+    all.push(("find_surface".to_owned(), source(PAGING, &[SURFACE, FIND_SURFACE])));
+    all.push(("write_mesh".to_owned(), source(PAGING, &[SURFACE, WRITE_MESH])));
+    all.push(("render".to_owned(), source(PAGING, &[SURFACE, RENDER])));
+    for method in METHODS {
+        let (_, kernels) = Prepare::new(method, &FuseConfig::default(), None).unwrap();
+        all.push((method.name().to_owned(), source(PAGING, &kernels.parts)));
+    }
+    all
+}
+
+fn parse(source: &str) -> Module {
+    naga::front::wgsl::parse_str(source).unwrap_or_else(|e| panic!("{}", e.emit_to_string(source)))
+}
+
+/// The members of a struct: name and offset.
+fn members(module: &Module, name: &str) -> Vec<(String, usize)> {
+    let found = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name));
+    let Some(TypeInner::Struct { members, .. }) = found.map(|(_, t)| &t.inner) else {
+        panic!("there is no struct {name}");
+    };
+    members
+        .iter()
+        .map(|m| (m.name.clone().unwrap_or_default(), m.offset as usize))
+        .collect()
+}
+
+/// The value of a constant, as it stands in the source.
+fn constant(source: &str, name: &str) -> f64 {
+    let head = format!("const {name}: ");
+    let line = source.lines().find(|line| line.starts_with(&head));
+    let value = line
+        .and_then(|line| line.split("= ").nth(1))
+        .unwrap_or_else(|| panic!("no constant {name}"));
+    let digits = value.trim_end_matches([';', 'u']);
+    match digits.strip_prefix("0x") {
+        Some(hex) => f64::from(u32::from_str_radix(hex, 16).unwrap()),
+        None => digits.parse().unwrap(),
+    }
+}
+
+#[test]
+fn all_kernels_are_valid() {
+    for (name, source) in sources() {
+        let module = parse(&source);
+        Validator::new(ValidationFlags::all(), Capabilities::empty())
+            .validate(&module)
+            .unwrap_or_else(|e| panic!("{name}: {}", e.emit_to_string(&source)));
+    }
+}
+
+macro_rules! layout {
+    ($type:ty: $($field:ident)*) => {
+        vec![$((stringify!($field).to_owned(), offset_of!($type, $field))),*]
+    };
+}
+
+fn frame_layout() -> Vec<(String, usize)> {
+    layout!(Frame: world_x mode world_y first world_z count anchor_voxel stamp anchor_fraction voxels_per_m turn_axis
+        turn_rate velocity truncation_vox max_weight_sum heavy_sum times_at cells_at image_at rings columns max_range_m min_dot
+        camera)
+}
+
+#[test]
+fn frames_have_one_layout() {
+    let source = source(PAGING, &[FRAME, KEEP]);
+    assert_eq!(members(&parse(&source), "Frame"), frame_layout());
+    assert_eq!(frame_layout().last().unwrap().1 + 16, size_of::<Frame>());
+    // And the comparison sees two fields that changed places.
+    let swapped = source
+        .replace("turn_rate: f32", "x: f32")
+        .replace("truncation_vox: f32", "turn_rate: f32");
+    let swapped = swapped.replace(" x: f32,", " truncation_vox: f32,");
+    assert_ne!(members(&parse(&swapped), "Frame"), frame_layout());
+}
+
+#[test]
+fn parameters_have_one_layout() {
+    let want = layout!(Params: blocks min_sum first count first_vertex first_triangle);
+    assert_eq!(
+        members(&parse(&source(PAGING, &[SURFACE, FIND_SURFACE])), "Surface"),
+        want
+    );
+}
+
+#[test]
+fn views_and_hits_have_one_layout() {
+    let module = parse(&source(PAGING, &[SURFACE, RENDER]));
+    let view = layout!(render::Params: base width origin height world_x max_range_vox world_y voxel_size_m world_z pad
+        low pad_low high pad_high);
+    assert_eq!(members(&module, "View"), view);
+    let hit = layout!(render::DeviceHit: normal range_m depth_m incidence_cos weight pad);
+    assert_eq!(members(&module, "Hit"), hit);
+}
+
+#[test]
+fn the_state_has_one_layout() {
+    let state = members(&parse(&source(PAGING, &[])), "State");
+    let offset = |name: &str| state.iter().find(|(n, _)| n == name).unwrap().1 as u64;
+    assert_eq!((offset("updated"), offset("table_mask")), (Header::SCAN, Header::SIZES));
+    assert_eq!(
+        (offset("table_mask"), offset("capacity"), offset("list")),
+        (Header::SIZES, Header::SIZES + 4, Header::LIST)
+    );
+    // Each counter is read from where it is written.
+    let words: Vec<u8> = (1_u32..=8).flat_map(u32::to_le_bytes).collect();
+    let header = Header::parse(&words);
+    let named = [
+        ("flags", header.flags),
+        ("blocks", header.blocks),
+        ("updated", header.updated),
+        ("fused", header.fused),
+        ("outside_grid", header.outside_grid),
+        ("without_normal", header.without_normal),
+        ("without_weight", header.without_weight),
+        ("lost", header.lost),
+    ];
+    for (name, word) in named {
+        assert_eq!(offset(name), 4 * u64::from(word - 1), "{name}");
+    }
+}
+
+#[test]
+fn constants_are_the_same() {
+    let source = source(PAGING, &[FRAME, LINES, KEEP]);
+    for (name, value) in [
+        ("WEIGHT_SCALE", f64::from(WEIGHT_SCALE)),
+        ("BLOCK_VOXELS", BLOCK_VOXELS as f64),
+        ("POOL_FULL", f64::from(POOL_FULL)),
+        ("ALLOCATE", f64::from(ALLOCATE)),
+        ("FUSE", f64::from(FUSE)),
+    ] {
+        assert_eq!(constant(&source, name), value, "{name}");
+    }
+    assert!((constant(&source, "VOXEL_RADIUS") - 0.75_f64.sqrt()).abs() < 1e-7);
+}
+
+#[test]
+fn methods_that_do_not_run_there_are_refused_by_name() {
+    for &method in Method::ALL {
+        let made = Prepare::new(method, &FuseConfig::default(), None);
+        assert_eq!(made.is_ok(), METHODS.contains(&method));
+        if let Err(error) = made {
+            assert!(error.to_string().starts_with(method.name()), "{error}");
+        }
+    }
+}
+
+#[test]
+fn the_arc_cosine_is_the_cpus() {
+    let list = NORMALS
+        .split("ACOS = array(")
+        .nth(1)
+        .and_then(|rest| rest.split(')').next())
+        .unwrap();
+    let numbers = list.split(',').map(str::trim).filter(|number| !number.is_empty());
+    let coefficients: Vec<f32> = numbers.map(|number| number.parse().unwrap()).collect();
+    let differing = |coefficients: &[f32]| {
+        let arc_cosine = |x: f32| {
+            let a = x.abs();
+            let angle = (1.0 - a).sqrt() * coefficients.iter().rev().fold(0.0, |sum, c| sum * a + c);
+            if x < 0.0 { std::f32::consts::PI - angle } else { angle }
+        };
+        let places = (-1000..=1000).map(|i| i as f32 * 1e-3);
+        places.filter(|&x| arc_cosine(x) != acos_f32(x)).count()
+    };
+    assert_eq!(differing(&coefficients), 0);
+    let mut off = coefficients;
+    off[3] += 1e-6;
+    assert!(differing(&off) > 100);
+}

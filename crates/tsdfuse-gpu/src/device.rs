@@ -1,0 +1,323 @@
+//! The device: which adapter, what it can do, and what went wrong on it.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tsdfuse::{fuse::FuseError, map::MapError, mesh::MeshError, render::RenderError};
+
+use crate::timeline::Timeline;
+
+/// Why something could not be done on the device.
+#[derive(Debug, thiserror::Error)]
+pub enum GpuError {
+    /// There is none, or none of the name that was asked for.
+    #[error("no GPU can be used: {0}")]
+    NoAdapter(String),
+    /// The device stopped: it was reset, removed, or a kernel ran too long. What was on it is lost.
+    #[error("the GPU stopped working, and what was on it is lost: {0}")]
+    Lost(String),
+    /// The device has no memory left.
+    #[error("the GPU has no memory for {what} ({bytes} bytes)")]
+    OutOfMemory {
+        /// What it is needed for.
+        what: String,
+        /// How much was asked for.
+        bytes: u64,
+    },
+    /// More blocks than the device can address.
+    #[error("the map needs more than {blocks} blocks, which is all that this GPU can hold")]
+    TooManyBlocks {
+        /// How many it can hold.
+        blocks: u64,
+    },
+    /// More than one binding of this device can hold.
+    #[error("{what} needs {bytes} bytes, but this GPU binds at most {limit} at once")]
+    TooLarge {
+        /// What.
+        what: String,
+        /// Its size.
+        bytes: u64,
+        /// The largest size.
+        limit: u64,
+    },
+    /// The driver or this program is at fault.
+    #[error("the GPU reports an error: {0}")]
+    Driver(String),
+    /// The method does not run on the device.
+    #[error("{0}")]
+    Unsupported(String),
+    /// The scan cannot be fused, there as here.
+    #[error(transparent)]
+    Fuse(#[from] FuseError),
+    /// The map cannot be made.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// There is no mesh.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// There is no view.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+}
+
+/// A GPU, opened.
+///
+/// ```no_run
+/// let gpu = tsdfuse_gpu::Gpu::open(None)?;
+/// println!("{}", gpu.name());
+/// # Ok::<(), tsdfuse_gpu::GpuError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Gpu {
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
+    info: wgpu::AdapterInfo,
+    limits: wgpu::Limits,
+    /// What the device said that nobody asked for.
+    trouble: Arc<Mutex<Trouble>>,
+    pub(crate) timeline: Timeline,
+    /// Where what is read back lands, kept for the next time.
+    landing: Arc<Mutex<Option<wgpu::Buffer>>>,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Trouble {
+    /// Why the device is lost. It stays so.
+    lost: Option<String>,
+    error: Option<String>,
+}
+
+impl Gpu {
+    /// Opens the best adapter: a discrete GPU before an integrated one, software last; or the first whose name contains `name`.
+    ///
+    /// # Errors
+    /// [`GpuError::NoAdapter`] names the adapters that there are.
+    pub fn open(name: Option<&str>) -> Result<Self, GpuError> {
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+        descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
+        descriptor.flags = wgpu::InstanceFlags::empty();
+        let instance = wgpu::Instance::new(descriptor);
+        let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+        let mut adapters: Vec<_> = adapters.into_iter().map(|a| (a.get_info(), a)).collect();
+        adapters.sort_by_key(|(info, _)| rank(info.device_type));
+        let names: Vec<String> = adapters.iter().map(|(info, _)| info.name.clone()).collect();
+        let is_wanted = |have: &str| name.is_none_or(|want| have.to_lowercase().contains(&want.to_lowercase()));
+        let Some((info, adapter)) = adapters.into_iter().find(|(info, _)| is_wanted(&info.name)) else {
+            return Err(GpuError::NoAdapter(match name {
+                Some(name) if !names.is_empty() => format!("none is called {name}; there are {}", names.join(", ")),
+                _ => {
+                    "no driver for Vulkan, Metal or DirectX 12 offers one (Mesa's lavapipe makes one of the CPU)".into()
+                }
+            }));
+        };
+        let wanted = wgpu::Features::TIMESTAMP_QUERY;
+        let request = adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("tsdfuse"),
+            required_features: adapter.features() & wanted,
+            required_limits: adapter.limits(),
+            ..Default::default()
+        });
+        let (device, queue) =
+            pollster::block_on(request).map_err(|e| GpuError::NoAdapter(format!("{}: {e}", info.name)))?;
+        let trouble: Arc<Mutex<Trouble>> = Arc::default();
+        let [on_error, on_loss] = [trouble.clone(), trouble.clone()];
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            lock(&on_error).error.get_or_insert(one_line(&error.to_string()));
+        }));
+        device.set_device_lost_callback(move |_, why| {
+            lock(&on_loss).lost.get_or_insert(one_line(&why));
+        });
+        let limits = device.limits();
+        Ok(Self {
+            device,
+            queue,
+            info,
+            limits,
+            trouble,
+            timeline: Timeline::default(),
+            landing: Arc::default(),
+        })
+    }
+
+    /// The adapter's name and the driver's.
+    pub fn name(&self) -> String {
+        let driver = [self.info.driver.as_str(), self.info.driver_info.as_str()].join(" ");
+        format!("{} ({:?}, {})", self.info.name, self.info.backend, driver.trim())
+    }
+
+    /// Whether the adapter is a CPU that does as a GPU would.
+    pub fn is_software(&self) -> bool {
+        self.info.device_type == wgpu::DeviceType::Cpu
+    }
+
+    /// The most bytes that one binding holds.
+    pub(crate) fn binding_limit(&self) -> u64 {
+        self.limits
+            .max_storage_buffer_binding_size
+            .min(self.limits.max_buffer_size)
+    }
+
+    /// The most storage buffers that one kernel uses.
+    pub(crate) fn storage_buffers(&self) -> u32 {
+        self.limits.max_storage_buffers_per_shader_stage
+    }
+
+    /// Makes a buffer, all zero.
+    pub(crate) fn buffer(&self, what: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, GpuError> {
+        let limit = if usage.contains(wgpu::BufferUsages::STORAGE) {
+            self.binding_limit()
+        } else {
+            self.limits.max_buffer_size
+        };
+        if bytes > limit {
+            let what = what.to_owned();
+            return Err(GpuError::TooLarge { what, bytes, limit });
+        }
+        let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(what),
+            size: bytes,
+            usage,
+            mapped_at_creation: false,
+        });
+        match pollster::block_on(scope.pop()) {
+            None => Ok(buffer),
+            Some(_) => Err(GpuError::OutOfMemory {
+                what: what.to_owned(),
+                bytes,
+            }),
+        }
+    }
+
+    /// What went wrong since the last time, if anything did.
+    pub(crate) fn check(&self) -> Result<(), GpuError> {
+        let Some(error) = lock(&self.trouble).error.take() else {
+            return self.check_lost();
+        };
+        // Of a lost device errors may be heard before the loss.
+        let _ = self.device.poll(wgpu::PollType::Poll);
+        self.check_lost()?;
+        Err(GpuError::Driver(error))
+    }
+
+    fn check_lost(&self) -> Result<(), GpuError> {
+        lock(&self.trouble)
+            .lost
+            .clone()
+            .map_or(Ok(()), |why| Err(GpuError::Lost(why)))
+    }
+
+    /// Waits until a submission is done, or all are, and callbacks have been called.
+    pub(crate) fn wait(&self, submission: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
+        let done = self.device.poll(wgpu::PollType::Wait {
+            submission_index: submission,
+            timeout: Some(LONGEST_WAIT),
+        });
+        self.check()?;
+        done.map(|_| ()).map_err(|e| GpuError::Lost(e.to_string()))
+    }
+
+    /// Copies part of a buffer back, and hands it on.
+    pub(crate) fn read_with<T>(
+        &self,
+        buffer: &wgpu::Buffer,
+        offset: u64,
+        bytes: u64,
+        take: impl FnOnce(&[u8]) -> T,
+    ) -> Result<T, GpuError> {
+        if bytes == 0 {
+            return Ok(take(&[]));
+        }
+        let kept = lock(&self.landing).take().filter(|kept| kept.size() >= bytes);
+        let landing = match kept {
+            Some(kept) => kept,
+            None => {
+                let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
+                self.buffer("reading back", bytes, usage)?
+            }
+        };
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        encoder.copy_buffer_to_buffer(buffer, offset, &landing, 0, bytes);
+        let submission = self.queue.submit([encoder.finish()]);
+        landing.map_async(wgpu::MapMode::Read, ..bytes, |_| {});
+        self.wait(Some(submission))?;
+        let lost = |e: wgpu::MapRangeError| GpuError::Lost(e.to_string());
+        let taken = take(&landing.get_mapped_range(..bytes).map_err(lost)?);
+        landing.unmap();
+        *lock(&self.landing) = Some(landing);
+        Ok(taken)
+    }
+
+    /// Copies part of a buffer back.
+    pub(crate) fn read(&self, buffer: &wgpu::Buffer, offset: u64, bytes: u64) -> Result<Vec<u8>, GpuError> {
+        self.read_with(buffer, offset, bytes, <[u8]>::to_vec)
+    }
+}
+
+/// What is locked; whoever panicked while holding it left it whole.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// No kernel takes as long, not even in software on a busy machine.
+const LONGEST_WAIT: Duration = Duration::from_secs(600);
+
+fn rank(kind: wgpu::DeviceType) -> u8 {
+    match kind {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    }
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{DeviceMap, Fuser, PoolConfig};
+    use tsdfuse::{MapConfig, Scan, fuse::Method, glam::Vec3};
+
+    /// A device of its own for each test; `None` where there is none and none is required.
+    fn gpu() -> Option<Gpu> {
+        let gpu = Gpu::open(None);
+        assert!(
+            gpu.is_ok() || std::env::var_os("TSDFUSE_REQUIRE_GPU").is_none(),
+            "{gpu:?}"
+        );
+        gpu.ok()
+    }
+
+    #[test]
+    fn a_lost_device_is_told_in_one_sentence_and_stays_lost() {
+        let Some(gpu) = gpu() else { return };
+        let map = DeviceMap::new(&gpu, MapConfig::default(), PoolConfig::default()).unwrap();
+        let mut fuser = Fuser::new(map, Method::Raycast, &Default::default(), None).unwrap();
+        let scan = Scan {
+            points: vec![Vec3::X; 9],
+            ..Default::default()
+        };
+        fuser.integrate(&scan).unwrap();
+        gpu.device.destroy();
+        let told = fuser.integrate(&scan).and_then(|_| fuser.finish()).unwrap_err();
+        assert!(matches!(told, GpuError::Lost(_)), "{told}");
+        assert!(!told.to_string().contains('\n'));
+        assert!(matches!(fuser.map().download(), Err(GpuError::Lost(_))));
+    }
+
+    #[test]
+    fn what_is_too_large_is_refused_by_name() {
+        let Some(gpu) = gpu() else { return };
+        let told = gpu.buffer("a scan", 1 << 60, wgpu::BufferUsages::STORAGE).unwrap_err();
+        assert!(
+            told.to_string()
+                .starts_with("a scan needs 1152921504606846976 bytes, but "),
+            "{told}"
+        );
+        gpu.check().unwrap();
+    }
+}

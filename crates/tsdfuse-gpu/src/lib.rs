@@ -1,0 +1,56 @@
+//! tsdfuse on any GPU: scans fused, meshes extracted and views rendered by compute shaders, through wgpu (Vulkan, Metal,
+//! DirectX 12).
+//!
+//! ```
+//! use tsdfuse::{MapConfig, Scan, fuse::Method, glam::Vec3};
+//! use tsdfuse_gpu::{DeviceMap, Fuser, Gpu, Mesher};
+//!
+//! let Ok(gpu) = Gpu::open(None) else { return Ok(()) }; // there is none
+//! let map = DeviceMap::new(&gpu, MapConfig::default(), Default::default())?;
+//! let mut fuser = Fuser::new(map, Method::Raycast, &Default::default(), None)?;
+//! # let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(1.0, 0.02 * y as f32, 0.02 * z as f32)));
+//! # let scans = [Scan { points: points.collect(), ..Default::default() }];
+//!
+//! for scan in &scans {
+//!     for done in fuser.integrate(scan)? {
+//!         println!("{}: {} returns", done.name, done.fused_returns); // of a scan some scans ago
+//!     }
+//! }
+//! let map = fuser.into_map()?; // waits
+//! let mesh = Mesher::new(&map)?.extract(&map, &Default::default())?;
+//! assert!(mesh.vertices.iter().all(|v| (v.x - 1.0).abs() < 0.03));
+//! let map = map.download()?; // a `VoxelMap`, to be saved or to go on with on the CPU
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The types to know: [`Gpu`], [`DeviceMap`] (the map there, which comes from and goes to a [`VoxelMap`](tsdfuse::VoxelMap)
+//! exactly), [`Fuser`], [`Mesher`], [`Renderer`].
+//!
+//! **The same bits** on one device, however the scans are scheduled, however often the map had to grow: what is added are
+//! integers. Between devices, and between a device and the CPU, a few voxels in a hundred thousand differ, since compilers of
+//! kernels may reorder operations on floats; `docs/gpu.md` has figures.
+//!
+//! **Nothing is lost.** A map that is full grows, and scans under way are repeated. A device that is full says so, and its map
+//! still has the scans before.
+
+#[cfg(test)]
+mod contract;
+mod device;
+mod flight;
+mod frame;
+mod fuser;
+mod map;
+mod mesh;
+mod method;
+mod render;
+mod shader;
+mod surface;
+mod timeline;
+
+pub use device::{Gpu, GpuError};
+pub use fuser::{Fused, Fuser};
+pub use map::{DeviceMap, PoolConfig};
+pub use mesh::Mesher;
+pub use method::METHODS;
+pub use render::Renderer;
+pub use timeline::Stage;

@@ -1,0 +1,442 @@
+//! The map on the device: the same blocks and the same integers as a [`VoxelMap`], in buffers.
+//!
+//! ```text
+//!   table    4 words an entry: a block's coordinates, its slot + 1                (5.1), open addressing
+//!   blocks   4 words a slot:   the block's coordinates, the scan that updated it last
+//!   pool     4096 bytes a slot: 512 voxels of two sums; in pages of one buffer each, since a binding holds only so much
+//!   state    16 words of counters (`Header`), then the slots that the last scan updated
+//! ```
+//!
+//! Blocks are made on the device, in any order, so slots differ from run to run; sums do not, since integers are added.
+//! A kernel that finds table or pool full raises a flag; from then on kernels do nothing, until the host has seen it, made
+//! room, and repeated the scans since. So nothing is lost, and no scan waits for the host.
+
+use glam::IVec3;
+use tsdfuse::{
+    MapConfig, VoxelMap,
+    index::{BLOCK_VOXELS, BlockIndex},
+    map::{Block, Voxel},
+};
+use wgpu::BufferUsages as Usage;
+
+use crate::device::{Gpu, GpuError};
+use crate::shader::{Binding, FIRST_PAGE, FRAME, KEEP, Paging, source};
+
+/// How much of the device a map takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PoolConfig {
+    /// Blocks that there is room for at first; it doubles whenever it is full.
+    pub first_blocks: u32,
+    /// Blocks in one buffer, rounded down to a power of two and to what a binding of the device holds.
+    pub page_blocks: u32,
+    /// Buffers at most, and at most 16. Each costs kernels a little, and software devices a lot: these run all branches.
+    pub pages: u32,
+}
+
+impl Default for PoolConfig {
+    fn default() -> Self {
+        Self {
+            first_blocks: 1 << 14,
+            page_blocks: 1 << 18,
+            pages: MAX_PAGES,
+        }
+    }
+}
+
+/// A truncated signed distance field on a device.
+#[derive(Debug)]
+pub struct DeviceMap {
+    pub(crate) gpu: Gpu,
+    /// An empty map: what the configuration means.
+    pub(crate) empty: VoxelMap,
+    pub(crate) paging: Paging,
+    pub(crate) layout: wgpu::BindGroupLayout,
+    pub(crate) bind_group: wgpu::BindGroup,
+    fill_table: wgpu::ComputePipeline,
+    buffers: Buffers,
+}
+
+/// What is replaced when the map grows.
+#[derive(Clone, Debug)]
+struct Buffers {
+    /// Blocks that there is room for.
+    capacity: u32,
+    /// Entries of the table, a power of two.
+    entries: u32,
+    table: wgpu::Buffer,
+    blocks: wgpu::Buffer,
+    state: wgpu::Buffer,
+    pages: Vec<wgpu::Buffer>,
+}
+
+/// The first words of the device's state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Header {
+    pub(crate) flags: u32,
+    pub(crate) blocks: u32,
+    pub(crate) updated: u32,
+    pub(crate) fused: u32,
+    pub(crate) outside_grid: u32,
+    pub(crate) without_normal: u32,
+    pub(crate) without_weight: u32,
+    pub(crate) lost: u32,
+}
+
+impl Header {
+    /// Its bytes, and those of what follows it before the list.
+    pub(crate) const BYTES: u64 = 36;
+    /// Where the counters of one scan begin; they end with the header.
+    pub(crate) const SCAN: u64 = 8;
+    /// Table mask and capacity come next, then the list.
+    pub(crate) const SIZES: u64 = 36;
+    pub(crate) const LIST: u64 = 44;
+
+    pub(crate) fn parse(bytes: &[u8]) -> Self {
+        let word = |i| words(bytes).nth(i).unwrap_or_default();
+        Self {
+            flags: word(0),
+            blocks: word(1),
+            updated: word(2),
+            fused: word(3),
+            outside_grid: word(4),
+            without_normal: word(5),
+            without_weight: word(6),
+            lost: word(7),
+        }
+    }
+}
+
+/// The pool is full; any other flag: the table is.
+pub(crate) const POOL_FULL: u32 = 2;
+
+const BLOCK_BYTES: u64 = 8 * BLOCK_VOXELS as u64;
+const RECORD_BYTES: u64 = 16;
+const ENTRY_BYTES: u64 = 16;
+
+/// Most pages: each is a binding.
+const MAX_PAGES: u32 = 16;
+/// Bindings that kernels need beside the pages.
+const OTHER_BINDINGS: u32 = 10;
+
+/// Blocks that are copied at once.
+const BATCH: u32 = 4096;
+
+impl DeviceMap {
+    /// An empty map.
+    ///
+    /// # Errors
+    /// [`GpuError`] if the configuration makes no sense or the device has too little memory.
+    pub fn new(gpu: &Gpu, config: MapConfig, pool: PoolConfig) -> Result<Self, GpuError> {
+        let empty = VoxelMap::new(config)?;
+        let page_limit = (gpu.binding_limit() / BLOCK_BYTES)
+            .min(u64::from(pool.page_blocks))
+            .max(1) as u32;
+        let pages = gpu
+            .storage_buffers()
+            .saturating_sub(OTHER_BINDINGS)
+            .min(pool.pages.clamp(1, MAX_PAGES));
+        if pages == 0 {
+            let few = format!("the GPU binds only {} buffers at once", gpu.storage_buffers());
+            return Err(GpuError::Unsupported(few));
+        }
+        let paging = Paging {
+            pages,
+            shift: page_limit.ilog2(),
+        };
+        let layout = gpu.layout((0..FIRST_PAGE + pages).map(|_| Binding::Storage));
+        let capacity = pool.first_blocks.clamp(1, paging.most_blocks());
+        let buffers = Buffers::new(gpu, paging, capacity, entries_for(capacity))?;
+        let fill_table = gpu.kernel(&source(paging, &[FRAME, KEEP]), "fill_table", &[&layout]);
+        let map = Self {
+            gpu: gpu.clone(),
+            empty,
+            paging,
+            bind_group: buffers.bind(gpu, &layout, paging)?,
+            layout,
+            fill_table,
+            buffers,
+        };
+        map.write_sizes();
+        gpu.check()?;
+        Ok(map)
+    }
+
+    /// Puts a map on the device.
+    ///
+    /// # Errors
+    /// [`GpuError`] if the device has too little memory for it.
+    pub fn upload(gpu: &Gpu, map: &VoxelMap, pool: PoolConfig) -> Result<Self, GpuError> {
+        let indices = map.block_indices();
+        let count = u32::try_from(indices.len()).unwrap_or(u32::MAX);
+        let mut device = Self::new(gpu, *map.config(), pool)?;
+        if count > device.buffers.capacity {
+            device.grow_pool(count, 0)?;
+        }
+        for (first, indices) in (0..).step_by(BATCH as usize).zip(indices.chunks(BATCH as usize)) {
+            let records = indices
+                .iter()
+                .flat_map(|b| b.0.to_array().map(i32::cast_unsigned).into_iter().chain([0]));
+            device.write(&device.buffers.blocks, RECORD_BYTES * u64::from(first), records);
+            for (slot, &index) in (first..).zip(indices) {
+                let voxels = map.block(index).into_iter().flat_map(|b| &b.voxels);
+                let sums = voxels.flat_map(|v| [v.weight_sum, v.distance_sum.cast_unsigned()]);
+                let (page, at) = device.place(slot);
+                device.write(page, at, sums);
+            }
+            device.gpu.queue.submit([]);
+            device.gpu.wait(None)?;
+        }
+        device.write(&device.buffers.state, 4, [count]);
+        device.fill_table()?;
+        Ok(device)
+    }
+
+    /// The map, as it is on the device.
+    ///
+    /// # Errors
+    /// [`GpuError::Lost`] if the device is gone.
+    pub fn download(&self) -> Result<VoxelMap, GpuError> {
+        let mut map = VoxelMap::new(*self.config())?;
+        let count = self.block_count()?;
+        let mut first = 0;
+        while first < count {
+            // Not across the end of a page.
+            let page_end = (first / self.paging.blocks() + 1) * self.paging.blocks();
+            let last = count.min(first + BATCH).min(page_end);
+            self.download_some(first, last, &mut map)?;
+            first = last;
+        }
+        Ok(map)
+    }
+
+    fn download_some(&self, first: u32, last: u32, map: &mut VoxelMap) -> Result<(), GpuError> {
+        let count = u64::from(last - first);
+        let records = self.gpu.read(
+            &self.buffers.blocks,
+            RECORD_BYTES * u64::from(first),
+            RECORD_BYTES * count,
+        )?;
+        let (page, at) = self.place(first);
+        let voxels = self.gpu.read(page, at, BLOCK_BYTES * count)?;
+        let blocks = voxels.chunks_exact(BLOCK_BYTES as usize);
+        for (record, voxels) in records.chunks_exact(RECORD_BYTES as usize).zip(blocks) {
+            let mut block = Block {
+                voxels: [Voxel::default(); BLOCK_VOXELS],
+            };
+            let mut sums = words(voxels);
+            for voxel in &mut block.voxels {
+                if let (Some(weight_sum), Some(distance_sum)) = (sums.next(), sums.next()) {
+                    *voxel = Voxel {
+                        weight_sum,
+                        distance_sum: distance_sum.cast_signed(),
+                    };
+                }
+            }
+            // A block without observations was made by a scan that could not be fused for lack of room.
+            if block.voxels.iter().any(|v| v.weight_sum > 0) {
+                map.insert_block(index_of(record), block)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// What the map was made with.
+    pub fn config(&self) -> &MapConfig {
+        self.empty.config()
+    }
+
+    /// How many blocks there are.
+    ///
+    /// # Errors
+    /// [`GpuError::Lost`] if the device is gone.
+    pub fn block_count(&self) -> Result<u32, GpuError> {
+        Ok(self.header()?.blocks.min(self.buffers.capacity))
+    }
+
+    /// The blocks, by slot.
+    pub(crate) fn indices(&self, blocks: u32) -> Result<Vec<BlockIndex>, GpuError> {
+        let records = self
+            .gpu
+            .read(&self.buffers.blocks, 0, RECORD_BYTES * u64::from(blocks))?;
+        Ok(records.chunks_exact(RECORD_BYTES as usize).map(index_of).collect())
+    }
+
+    /// How many blocks there is room for.
+    pub fn capacity(&self) -> u32 {
+        self.buffers.capacity
+    }
+
+    /// Bytes of all buffers of the map.
+    pub fn memory_bytes(&self) -> u64 {
+        let b = &self.buffers;
+        [&b.table, &b.blocks, &b.state]
+            .into_iter()
+            .chain(&b.pages)
+            .map(wgpu::Buffer::size)
+            .sum()
+    }
+
+    /// The buffer that holds the map's counters.
+    pub(crate) fn state(&self) -> &wgpu::Buffer {
+        &self.buffers.state
+    }
+
+    fn header(&self) -> Result<Header, GpuError> {
+        let bytes = self.gpu.read(&self.buffers.state, 0, Header::BYTES)?;
+        Ok(Header::parse(&bytes))
+    }
+
+    /// Makes room after a kernel found none, so that it can be repeated. No kernel may be running. Where that fails, the map
+    /// is as before, and kernels go on to do nothing.
+    pub(crate) fn make_room(&mut self, header: Header) -> Result<(), GpuError> {
+        if header.flags & POOL_FULL == 0 {
+            return self.grow_table();
+        }
+        self.grow_pool(header.blocks, header.blocks.min(self.buffers.capacity))
+    }
+
+    /// Makes room for at least `wanted` blocks; `have` are there.
+    fn grow_pool(&mut self, wanted: u32, have: u32) -> Result<(), GpuError> {
+        let most = self.paging.most_blocks();
+        if wanted > most || self.buffers.capacity == most {
+            return Err(GpuError::TooManyBlocks { blocks: most.into() });
+        }
+        let capacity = self.buffers.capacity.saturating_mul(2).max(wanted).min(most);
+        // Whole pages beyond the first one.
+        let page = self.paging.blocks();
+        let capacity = if capacity > page {
+            capacity.div_ceil(page) * page
+        } else {
+            capacity
+        };
+        self.buffers = self.buffers.grown(&self.gpu, self.paging, capacity)?;
+        self.rebind()?;
+        self.write(&self.buffers.state, 0, [0, have]);
+        self.fill_table()
+    }
+
+    /// Doubles the table.
+    fn grow_table(&mut self) -> Result<(), GpuError> {
+        let entries = self.buffers.entries.saturating_mul(2);
+        self.buffers.table = new_table(&self.gpu, entries)?;
+        self.buffers.entries = entries;
+        self.rebind()?;
+        self.write(&self.buffers.state, 0, [0]);
+        self.fill_table()
+    }
+
+    fn rebind(&mut self) -> Result<(), GpuError> {
+        self.bind_group = self.buffers.bind(&self.gpu, &self.layout, self.paging)?;
+        self.write_sizes();
+        Ok(())
+    }
+
+    /// Enters all blocks into a table that is empty, and larger ones until all have a place.
+    fn fill_table(&mut self) -> Result<(), GpuError> {
+        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
+        let mut pass = self.gpu.pass(&mut encoder, "fill_table");
+        pass.set_pipeline(&self.fill_table);
+        pass.set_bind_group(0, &self.bind_group, &[]);
+        pass.dispatch_workgroups(self.buffers.capacity.div_ceil(64).min(1024), 1, 1);
+        drop(pass);
+        self.gpu.queue.submit([encoder.finish()]);
+        match self.header()?.flags {
+            0 => Ok(()),
+            _ => self.grow_table(),
+        }
+    }
+
+    fn write_sizes(&self) {
+        let Buffers { entries, capacity, .. } = self.buffers;
+        self.write(&self.buffers.state, Header::SIZES, [entries - 1, capacity]);
+    }
+
+    fn write(&self, buffer: &wgpu::Buffer, at: u64, words: impl IntoIterator<Item = u32>) {
+        let bytes: Vec<u8> = words.into_iter().flat_map(u32::to_le_bytes).collect();
+        self.gpu.queue.write_buffer(buffer, at, &bytes);
+    }
+
+    /// The page of a slot, and where in it its voxels begin.
+    fn place(&self, slot: u32) -> (&wgpu::Buffer, u64) {
+        let (page, at) = (slot / self.paging.blocks(), slot % self.paging.blocks());
+        (&self.buffers.pages[page as usize], BLOCK_BYTES * u64::from(at))
+    }
+}
+
+impl Buffers {
+    fn new(gpu: &Gpu, paging: Paging, capacity: u32, entries: u32) -> Result<Self, GpuError> {
+        let pages = (0..capacity.div_ceil(paging.blocks())).map(|page| {
+            let blocks = (capacity - page * paging.blocks()).min(paging.blocks());
+            gpu.buffer("voxels", BLOCK_BYTES * u64::from(blocks), STORED)
+        });
+        Ok(Self {
+            capacity,
+            entries,
+            table: new_table(gpu, entries)?,
+            blocks: gpu.buffer("the list of blocks", RECORD_BYTES * u64::from(capacity), STORED)?,
+            state: gpu.buffer("the map's state", Header::LIST + 4 * u64::from(capacity), STORED)?,
+            pages: pages.collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// The same blocks with room for more, and an empty table. Full pages stay where they are.
+    fn grown(&self, gpu: &Gpu, paging: Paging, capacity: u32) -> Result<Self, GpuError> {
+        let mut grown = Self {
+            pages: Vec::new(),
+            capacity,
+            entries: entries_for(capacity).max(self.entries),
+            table: new_table(gpu, entries_for(capacity).max(self.entries))?,
+            blocks: gpu.buffer("the list of blocks", RECORD_BYTES * u64::from(capacity), STORED)?,
+            state: gpu.buffer("the map's state", Header::LIST + 4 * u64::from(capacity), STORED)?,
+        };
+        let mut copies = vec![(&self.blocks, grown.blocks.clone()), (&self.state, grown.state.clone())];
+        for page in 0..capacity.div_ceil(paging.blocks()) {
+            let blocks = (capacity - page * paging.blocks()).min(paging.blocks());
+            let bytes = BLOCK_BYTES * u64::from(blocks);
+            let old = self.pages.get(page as usize);
+            if let Some(same) = old.filter(|old| old.size() == bytes) {
+                grown.pages.push(same.clone());
+                continue;
+            }
+            let new = gpu.buffer("voxels", bytes, STORED)?;
+            copies.extend(old.map(|old| (old, new.clone())));
+            grown.pages.push(new);
+        }
+        let mut encoder = gpu.device.create_command_encoder(&Default::default());
+        for (from, to) in &copies {
+            encoder.copy_buffer_to_buffer(from, 0, to, 0, from.size());
+        }
+        gpu.queue.submit([encoder.finish()]);
+        gpu.check()?;
+        Ok(grown)
+    }
+
+    fn bind(&self, gpu: &Gpu, layout: &wgpu::BindGroupLayout, paging: Paging) -> Result<wgpu::BindGroup, GpuError> {
+        let absent = (self.pages.len()..paging.pages as usize).map(|_| gpu.buffer("no voxels", 4, STORED));
+        let absent = absent.collect::<Result<Vec<_>, _>>()?;
+        let own = [&self.table, &self.blocks, &self.state].into_iter().chain(&self.pages);
+        Ok(gpu.bind(layout, own.chain(&absent).map(wgpu::Buffer::as_entire_binding)))
+    }
+}
+
+const STORED: Usage = Usage::STORAGE.union(Usage::COPY_SRC).union(Usage::COPY_DST);
+
+/// At most half of the table is used, so that blocks are found in few steps.
+fn entries_for(capacity: u32) -> u32 {
+    capacity.saturating_mul(2).next_power_of_two().max(64)
+}
+
+fn new_table(gpu: &Gpu, entries: u32) -> Result<wgpu::Buffer, GpuError> {
+    gpu.buffer("the block table", ENTRY_BYTES * u64::from(entries), STORED)
+}
+
+pub(crate) fn words(bytes: &[u8]) -> impl Iterator<Item = u32> {
+    bytes.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b))
+}
+
+/// The block that a record names.
+fn index_of(record: &[u8]) -> BlockIndex {
+    let mut coordinates = words(record).map(u32::cast_signed);
+    let mut next = || coordinates.next().unwrap_or_default();
+    BlockIndex(IVec3::new(next(), next(), next()))
+}

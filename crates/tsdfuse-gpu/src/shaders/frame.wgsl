@@ -1,0 +1,102 @@
+// One scan: where it was measured, and its returns. See frame.rs, which has the same layout.
+
+// What a dispatch does.
+const ALLOCATE: u32 = 0u;
+const FUSE: u32 = 1u;
+
+struct Frame {
+    // The columns of the rotation of world_from_sensor.
+    world_x: vec3<f32>,
+    mode: u32,
+    world_y: vec3<f32>,
+    // The returns that this dispatch takes.
+    first: u32,
+    world_z: vec3<f32>,
+    count: u32,
+    // The sensor's position in the grid: voxel, and place in it.
+    anchor_voxel: vec3<i32>,
+    stamp: u32,
+    anchor_fraction: vec3<f32>,
+    voxels_per_m: f32,
+    // How the sensor turns (its own axes, radians a second) and moves (world axes, metres a second).
+    turn_axis: vec3<f32>,
+    turn_rate: f32,
+    velocity: vec3<f32>,
+    truncation_vox: f32,
+    max_weight_sum: u32,
+    // A voxel with a larger weight sum might exceed that in this dispatch.
+    heavy_sum: u32,
+    // Where columns beside the points begin in `returns`; 0: there is none.
+    times_at: u32,
+    cells_at: u32,
+    image_at: u32,
+    rings: u32,
+    columns: u32,
+    max_range_m: f32,
+    min_dot: f32,
+    // A camera's focal lengths, and its principal point, pixels.
+    camera: vec4<f32>,
+}
+
+@group(1) @binding(0) var<uniform> frame: Frame;
+// Points (sensor frame, metres), three numbers each, then the columns.
+@group(1) @binding(1) var<storage, read> returns: array<u32>;
+
+// A return in world axes relative to the anchor, metres, and where its ray began.
+struct Placed {
+    point: vec3<f32>,
+    origin: vec3<f32>,
+}
+
+// Returns farther out, voxels from the sensor, do not reach the map.
+const MAX_REACH: f32 = 4194304.0;
+
+fn point_of(i: u32) -> vec3<f32> {
+    let at = 3u * i;
+    return bitcast<vec3<f32>>(vec3(returns[at], returns[at + 1u], returns[at + 2u]));
+}
+
+// Whether numbers are finite, from their bits: compilers may assume that all are.
+fn is_finite(bits: vec3<u32>) -> bool {
+    return all((bits & vec3(0x7f800000u)) != vec3(0x7f800000u));
+}
+
+fn is_valid(i: u32) -> bool {
+    let at = 3u * i;
+    var valid = is_finite(vec3(returns[at], returns[at + 1u], returns[at + 2u]));
+    if frame.times_at != 0u {
+        valid = valid && is_finite(vec3(returns[frame.times_at + i]));
+    }
+    return valid;
+}
+
+// Sine and cosine of an angle of at most a few turns: built-in ones may be off by 2⁻¹¹.
+fn sin_cos(angle: f32) -> vec2<f32> {
+    let quarter = round(angle * 0.63661977);
+    // π/2 in two parts.
+    let r = (angle - quarter * 1.5707964) + quarter * 4.371139e-8;
+    let r2 = r * r;
+    let s = r * (1.0 - r2 / 6.0 * (1.0 - r2 / 20.0 * (1.0 - r2 / 42.0 * (1.0 - r2 / 72.0))));
+    let c = 1.0 - r2 / 2.0 * (1.0 - r2 / 12.0 * (1.0 - r2 / 30.0 * (1.0 - r2 / 56.0 * (1.0 - r2 / 90.0))));
+    switch i32(quarter) & 3 {
+        case 0: { return vec2(s, c); }
+        case 1: { return vec2(c, -s); }
+        case 2: { return vec2(-s, -c); }
+        default: { return vec2(-c, s); }
+    }
+}
+
+// Places a valid return from where the sensor was when it was measured.
+fn place(i: u32) -> Placed {
+    var p = point_of(i);
+    var origin = vec3(0.0);
+    if frame.times_at != 0u {
+        let secs = bitcast<f32>(returns[frame.times_at + i]);
+        // Rodrigues' rotation formula.
+        let turn = sin_cos(frame.turn_rate * secs);
+        let k = frame.turn_axis;
+        p = p * turn.y + cross(k, p) * turn.x + k * (dot(k, p) * (1.0 - turn.y));
+        origin = frame.velocity * secs;
+    }
+    return Placed(frame.world_x * p.x + frame.world_y * p.y + frame.world_z * p.z + origin, origin);
+}

@@ -1,0 +1,131 @@
+// The map on the device: block table, blocks, state; the pool of voxels is in `pool` (generated, one binding a page).
+// See map.rs for the layout and for what happens when something is full.
+
+const BLOCK_VOXELS: u32 = 512u;
+const WEIGHT_SCALE: f32 = 32768.0;
+const NONE: u32 = 0xffffffffu;
+// Entries that are looked at for one block before the table counts as full.
+const MAX_PROBES: u32 = 64u;
+// Flags.
+const TABLE_FULL: u32 = 1u;
+const POOL_FULL: u32 = 2u;
+
+// What is known of a block beside its voxels.
+struct Block {
+    index: vec3<i32>,
+    // The scan that updated it last.
+    stamp: atomic<u32>,
+}
+
+struct State {
+    // While any is set, scans change nothing.
+    flags: atomic<u32>,
+    // Blocks in the pool.
+    blocks: atomic<u32>,
+    // Of the scan: blocks updated, returns fused, and those that were not, by reason.
+    updated: atomic<u32>,
+    fused: atomic<u32>,
+    outside_grid: atomic<u32>,
+    without_normal: atomic<u32>,
+    without_weight: atomic<u32>,
+    // Updates whose block was not there: always 0.
+    lost: atomic<u32>,
+    // Whether a voxel may be beyond its largest weight now.
+    heavy: atomic<u32>,
+    // Entries of the table less 1, a power of two less 1.
+    table_mask: u32,
+    // Blocks that the pool has room for.
+    capacity: u32,
+    // The slots of the blocks that the scan updated.
+    list: array<u32>,
+}
+
+// Four words an entry: the block's coordinates, their highest bit flipped so that 0 means empty, and its slot plus 1.
+@group(0) @binding(0) var<storage, read_write> table: array<atomic<u32>>;
+@group(0) @binding(1) var<storage, read_write> blocks: array<Block>;
+@group(0) @binding(2) var<storage, read_write> state: State;
+
+// (5.1)
+fn hash(b: vec3<i32>) -> u32 {
+    let v = vec3<u32>(b);
+    return v.x * 73856093u ^ v.y * 19349669u ^ v.z * 83492791u;
+}
+
+fn key(b: vec3<i32>) -> vec3<u32> {
+    return vec3<u32>(b) ^ vec3<u32>(0x80000000u);
+}
+
+// Makes a word of the table a value, if it is empty: 0 if it is another one, 1 if it was so already, 2 if it became so.
+fn claim(word: u32, value: u32) -> u32 {
+    loop {
+        let old = atomicLoad(&table[word]);
+        if old == value {
+            return 1u;
+        }
+        if old != 0u {
+            return 0u;
+        }
+        if atomicCompareExchangeWeak(&table[word], 0u, value).exchanged {
+            return 2u;
+        }
+    }
+    return 0u;
+}
+
+struct Entry {
+    // Its first word, or NONE if the table is full.
+    word: u32,
+    is_new: bool,
+}
+
+// The entry of a block, which is made if it is not there. A word is set once and never changes, so whoever finds another
+// value goes on to the next entry, and everyone with the same block does; whoever sets the last word made the entry. No locks.
+fn insert(block: vec3<i32>) -> Entry {
+    let k = key(block);
+    var entry = hash(block) & state.table_mask;
+    for (var n = 0u; n < MAX_PROBES; n++) {
+        let word = 4u * entry;
+        if claim(word, k.x) != 0u && claim(word + 1u, k.y) != 0u {
+            let last = claim(word + 2u, k.z);
+            if last != 0u {
+                return Entry(word, last == 2u);
+            }
+        }
+        entry = (entry + 1u) & state.table_mask;
+    }
+    atomicOr(&state.flags, TABLE_FULL);
+    return Entry(NONE, false);
+}
+
+// The slot of a block, or NONE. Not while blocks are being made.
+fn slot_of(block: vec3<i32>) -> u32 {
+    let k = key(block);
+    var entry = hash(block) & state.table_mask;
+    for (var n = 0u; n < MAX_PROBES; n++) {
+        let word = 4u * entry;
+        let x = atomicLoad(&table[word]);
+        if x == 0u {
+            return NONE;
+        }
+        if x == k.x && atomicLoad(&table[word + 1u]) == k.y && atomicLoad(&table[word + 2u]) == k.z {
+            return atomicLoad(&table[word + 3u]) - 1u;
+        }
+        entry = (entry + 1u) & state.table_mask;
+    }
+    return NONE;
+}
+
+// Makes a block if it is not there.
+fn allocate(block: vec3<i32>) {
+    let entry = insert(block);
+    if !entry.is_new {
+        return;
+    }
+    let slot = atomicAdd(&state.blocks, 1u);
+    if slot >= state.capacity {
+        atomicOr(&state.flags, POOL_FULL);
+        return;
+    }
+    blocks[slot].index = block;
+    atomicStore(&table[entry.word + 3u], slot + 1u);
+}
