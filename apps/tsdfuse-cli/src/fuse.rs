@@ -56,17 +56,17 @@ fn run_from(args: &Args, resumed: Option<Resumed>) -> Result<Outcome> {
     loading.iter().try_for_each(|loading| loading.suggest(&mut layers))?;
     let config = layers.resolve(&suggested)?;
 
-    let begun = Progress::begin(&config, suggested.sensor.as_ref(), indices.len())?;
+    let begun = || Progress::begin(&config, suggested.sensor.as_ref(), indices.len());
     let sensor = resumed
         .as_ref()
-        .map_or(&begun.sensor, |resumed| &resumed.progress.sensor);
+        .map_or(&suggested.sensor, |resumed| &resumed.progress.sensor);
     let mut fusion = Fusion::new(settings, &config, sensor.as_ref())?;
     let mut loaded_map = None;
     match resumed {
         Some(Resumed { map, pager, progress }) => {
             (fusion.map, fusion.earlier) = (map, (progress.fused, progress.sums));
             fusion.skipped.clone_from(&progress.skipped);
-            fusion.paging = Some(Paging::resume(args, pager, progress, &begun)?);
+            fusion.paging = Some(Paging::resume(args, pager, progress, &begun()?)?);
         }
         None => {
             loading

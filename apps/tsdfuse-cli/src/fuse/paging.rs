@@ -134,12 +134,13 @@ pub(super) struct Resumed {
 
 impl Paging {
     /// `None` if the whole map is to be in memory only.
-    pub(super) fn begin(args: &Args, map: &VoxelMap, progress: Progress) -> Result<Option<Self>> {
+    pub(super) fn begin(args: &Args, map: &VoxelMap, begun: impl FnOnce() -> Result<Progress>) -> Result<Option<Self>> {
         let store = match (&args.store, args.memory) {
             (None, None) => return Ok(None),
             (Some(store), _) => store.clone(),
             (None, Some(_)) => args.hidden_store()?,
         };
+        let progress = begun()?;
         args.check_paging(&progress.config)?;
         let every = args.store.is_some().then_some(args.commit_every as usize);
         Self::create(store, args.memory, every, map, progress).map(Some)
@@ -383,12 +384,7 @@ impl Resumed {
     /// Opens the store of a run.
     pub(super) fn open(store: &Path) -> Result<Self> {
         // The limit stands among the arguments.
-        let (map, pager, note) = Pager::open(
-            store,
-            Options {
-                limit_bytes: usize::MAX,
-            },
-        )?;
+        let (map, pager, note) = Pager::open(store, options(None))?;
         let progress = Progress::parse(store, &note)?;
         Ok(Self { map, pager, progress })
     }

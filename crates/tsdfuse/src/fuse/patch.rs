@@ -6,8 +6,9 @@
 //! weight. What rays of later scans pass through is erased (`carve`).
 //!
 //! Which voxels: within √3·κ/2 of the line along the normal, as far in front of the surface and behind it as marching cubes needs
-//! them; a longer line would only carry the surface beyond its edges. What distance: (v − p)·n/μ. What weight: min(1, 1/range) ×
-//! the cosine of the incidence, falling to 0 behind the surface, where nothing was seen.
+//! them; a longer line would only carry the surface beyond its edges. Where a return stands alone, without planes about it, its
+//! line is as long as beams are apart. What distance: (v − p)·n/μ. What weight: min(1, 1/range) × the cosine of the incidence,
+//! falling to 0 behind the surface, where nothing was seen.
 
 use std::time::Instant;
 
@@ -150,7 +151,7 @@ impl Integrator for Patch {
             || image.update(&scan.points, &rings, sensor),
         );
         let anchor = anchor?;
-        let placed = &self.placed;
+        let (placed, image) = (&self.placed, &self.image);
         let limits = Limits {
             window_m: self.config.window_m,
             noise_m: self.config.noise_m,
@@ -159,9 +160,8 @@ impl Integrator for Patch {
         };
         let column_rad = sensor.column_width_rad() as f32;
         self.patches
-            .update(&self.image, &placed.points, &placed.origins, column_rad, &limits);
+            .update(image, &placed.points, &placed.origins, column_rad, &limits);
         let (returns, patches) = (placed.len(), &self.patches.all);
-        let image = &self.image;
         let is_ray = |i: usize| i < returns && !patches[i].is_some();
         self.order.sort(grid, anchor, patches.len(), |i| {
             if is_ray(i) { placed.points[i] } else { patches[i].center }
@@ -209,7 +209,7 @@ impl Integrator for Patch {
         done.fused_returns = done.fused_returns.saturating_sub((patches.len() - returns) as u64);
         if self.config.carve {
             let seen = Seen {
-                image: &self.image,
+                image,
                 placed,
                 patches,
                 centers: Centers {
