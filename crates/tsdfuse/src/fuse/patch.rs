@@ -1,6 +1,6 @@
 //! Surface patches (`patch`): our own method. `docs/method.md` explains it with figures.
 //!
-//! Every return takes the plane of the returns around it (`crate::patch`), by which its own noise is averaged out, and updates
+//! Every return takes the plane of the returns around it (`crate::patch`), moves onto it by what is noise, and updates
 //! the voxels along the plane's normal, as local normals do. Between neighbouring returns of one surface that are farther
 //! apart than voxels, patches are put in, so that the surface is closed. Returns without a plane update along their ray, with less
 //! weight. What rays of later scans pass through is erased (`carve`).
@@ -50,10 +50,10 @@ const STEP: f32 = 1.5;
 const BETWEEN_WEIGHT: f32 = 0.5;
 
 /// Weight of a return without a plane.
-const RAY_WEIGHT: f32 = 0.3;
+const RAY_WEIGHT: f32 = 0.15;
 
 /// How far the line of a return reaches that has no plane and no neighbour with one: this many times the distance to the next ring.
-const LONE_REACH: f32 = 1.5;
+const LONE_REACH: f32 = 3.0;
 
 /// Options of [`Patch`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

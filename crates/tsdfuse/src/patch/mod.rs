@@ -19,7 +19,7 @@ use sums::{MAX_COLUMNS, Window, WindowSums};
 /// The surface at a return, or between two.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Patch {
-    /// Where on the plane, in the axes of the points.
+    /// Where the surface is, in the axes of the points.
     pub(crate) center: Vec3,
     /// Unit vector towards the side of the sensor; zero where there is no plane.
     pub(crate) normal: Vec3,
@@ -302,14 +302,17 @@ impl Scan<'_> {
             let cosine2 = facing * facing / ray.length_squared();
             let (residual2, spread2) = (planes.residual2[lane], planes.spread2[lane]);
             // What is expected across the plane: of the noise, what does not lie along it.
-            let expected2 = noise2 * cosine2 + ROUGHNESS_M * ROUGHNESS_M;
+            let noise2_across = noise2 * cosine2;
+            let expected2 = noise2_across + ROUGHNESS_M * ROUGHNESS_M;
             let is_plane = residual2 <= MAX_RESIDUAL * MAX_RESIDUAL * expected2
                 && off * off <= MAX_OFF * MAX_OFF * expected2
                 && spread2 >= MIN_SPREAD * MIN_SPREAD * residual2.max(noise2)
                 && cosine2 >= MIN_COSINE * MIN_COSINE;
             if is_plane {
+                // Of what is off the plane, noise goes, and shape stays (Wiener's filter).
+                let noise = (noise2_across / residual2).min(1.0);
                 found.patches[lane] = Patch {
-                    center: self.points[i] + normal * off,
+                    center: self.points[i] + normal * (noise * off),
                     normal: if facing > 0.0 { -normal } else { normal },
                     whole: false,
                 };
