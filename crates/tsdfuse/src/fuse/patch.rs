@@ -50,9 +50,9 @@ const STEP: f32 = 1.5;
 const BETWEEN_WEIGHT: f32 = 0.5;
 
 /// Weight of a return without a plane.
-const RAY_WEIGHT: f32 = 0.15;
+const RAY_WEIGHT: f32 = 0.1;
 
-/// How far the line of a return reaches that has no plane and no neighbour with one: this many times the distance to the next ring.
+/// How far the line of a return reaches that stands alone: this many times the distance to the next ring.
 const LONE_REACH: f32 = 3.0;
 
 /// Options of [`Patch`].

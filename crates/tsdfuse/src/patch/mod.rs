@@ -62,6 +62,9 @@ const MIN_SPREAD: f32 = 2.0;
 /// The least cosine of the angle between a ray and a plane's normal.
 const MIN_COSINE: f32 = 0.03;
 
+/// A return without a plane stands alone if at most this many of the eight beside it have one.
+const MAX_BESIDE: usize = 1;
+
 /// Fewer returns make no plane that could be told from their noise.
 const MIN_RETURNS: f32 = 5.0;
 
@@ -131,18 +134,18 @@ impl Patches {
         self.between.append_to(&mut self.all, image, limits);
     }
 
-    /// Whether no return beside this one in the image has a plane, nor this one.
+    /// Whether neither a return, in this cell of the image, nor those beside it have planes, but for [`MAX_BESIDE`].
     #[inline(always)]
     pub(crate) fn is_alone(&self, image: &ScanImage, ring: usize, column: usize) -> bool {
         let columns = image.columns();
+        let mut planes = 0;
         for ring in ring.saturating_sub(1)..=ring + 1 {
             for column in [column + columns - 1, column, column + 1] {
-                if image.get(ring, column % columns).is_some_and(|i| self.all[i].is_some()) {
-                    return false;
-                }
+                let patch = image.get(ring, column % columns).map(|i| &self.all[i]);
+                planes += usize::from(patch.is_some_and(Patch::is_some));
             }
         }
-        true
+        planes <= MAX_BESIDE
     }
 }
 
