@@ -2,10 +2,10 @@
 //! a [`Mesh`] comes out, at any time.
 //!
 //! ```
-//! use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3, mesh};
+//! use tsdfuse::{Integrator, MapConfig, Patch, Pose, Scan, VoxelMap, glam::Vec3, mesh};
 //!
 //! let mut map = VoxelMap::new(MapConfig { voxel_size_m: 0.05, truncation_m: 0.20, ..Default::default() })?;
-//! let mut fuser = Raycast::default();
+//! let mut fuser = Patch::default();
 //!
 //! // One scan: returns in the sensor frame (x forward, y left, z up), and where the sensor was.
 //! let wall = (-30..30).flat_map(|y| (-20..20).map(move |z| Vec3::new(4.0, 0.03 * y as f32, 0.03 * z as f32)));
@@ -19,7 +19,7 @@
 //! ```
 //!
 //! The types to know: [`Scan`] (with [`Pose`] and [`scan::Motion`], by which movement during the sweep is undone),
-//! [`VoxelMap`], the trait [`Integrator`] with one type per method ([`Raycast`], [`Normals`], [`Surfels`]; by name: [`fuse::Method`]),
+//! [`VoxelMap`], the trait [`Integrator`] with one type per method ([`Patch`], [`Raycast`], [`Normals`], …; by name: [`fuse::Method`]),
 //! [`Mesh`], and [`SensorModel`] for what a rotating LiDAR's beams look like.
 //!
 //! The crate reads no files; `tsdfuse-io` does. The work is spread over the threads of the current rayon pool, and the
@@ -41,7 +41,7 @@ pub mod scan;
 pub mod sensor;
 pub mod surfel;
 
-pub use fuse::{Integration, Integrator, Normals, Raycast, Roldao, Surfels};
+pub use fuse::{Integration, Integrator, Normals, Patch, Raycast, Roldao, Surfels};
 pub use glam;
 pub use map::{MapConfig, VoxelMap};
 pub use mesh::Mesh;

@@ -1,5 +1,5 @@
 //! The device against the CPU. Without any adapter these tests say so and pass, unless `TSDFUSE_REQUIRE_GPU` is set; Mesa's
-//! lavapipe is one (`.ci/setup.sh` installs it).
+//! lavapipe is one (`./setup.sh` installs it).
 
 #![allow(clippy::unwrap_used)] // tests
 

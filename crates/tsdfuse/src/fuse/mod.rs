@@ -45,7 +45,6 @@ use crate::{
 #[serde(rename_all = "lowercase")]
 pub enum Method {
     /// [`Raycast`].
-    #[default]
     Raycast,
     /// [`Normals`].
     Normals,
@@ -61,7 +60,8 @@ pub enum Method {
     Caminal,
     /// [`Roldao`].
     Roldao,
-    /// [`Patch`].
+    /// [`Patch`]: our own.
+    #[default]
     Patch,
 }
 
