@@ -2,6 +2,7 @@
 
 mod args;
 mod growing;
+mod hidden;
 mod load;
 mod paging;
 mod resume;

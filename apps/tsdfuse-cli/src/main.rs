@@ -17,6 +17,8 @@ mod render;
 mod report;
 mod settings;
 mod simulate;
+#[cfg_attr(not(feature = "tiles"), path = "tiles/no_tiles.rs")]
+mod tiles;
 
 use std::process::ExitCode;
 

@@ -1,5 +1,7 @@
 //! `tsdfuse mesh`: a saved map in, a mesh out.
 
+mod parts;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -7,25 +9,33 @@ use anyhow::{Result, bail};
 use serde::Serialize;
 use tsdfuse::mesh::{MeshConfig, extract_with};
 use tsdfuse::{Mesh, VoxelMap};
+use tsdfuse_store::{Options, Pager, Surface};
 
 use crate::device::Device;
 use crate::exit::{Outcome, Usage};
-use crate::output;
+use crate::output::{self, is_tileset};
 use crate::progress;
 use crate::report::{MapReport, MeshReport, print_json};
+use crate::tiles;
+
+pub(crate) use parts::{check_in_parts, surface_in_parts};
+
+/// Blocks of a store that are in memory while it is meshed.
+const STORE_BYTES: usize = 256 << 20;
 
 const EXAMPLES: &str = "\
 Examples:
   tsdfuse fuse pandaset/002 --save-map street.tsdf
-  tsdfuse mesh street.tsdf -o street.glb --min-weight 2";
+  tsdfuse mesh street.tsdf -o street.glb --min-weight 2
+  tsdfuse mesh drive.store -o drive/tileset.json";
 
-/// Extract the surface of a saved map.
+/// Extract the surface of a saved map or of a store.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// The map, saved by `tsdfuse fuse --save-map`.
+    /// The map, saved by `tsdfuse fuse --save-map`, or the store of `tsdfuse fuse --store`.
     map: PathBuf,
-    /// The mesh to write, .ply, .glb or .obj; `-` writes PLY to standard output.
+    /// The mesh to write, .ply, .glb or .obj; a new folder's NAME/tileset.json for 3D Tiles; `-` writes PLY to standard output.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Voxels of less weight do not become surface.
@@ -57,14 +67,9 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     };
     config.validate().map_err(Usage::new)?;
     output::check_mesh(&args.output, args.json)?;
-    let start = Instant::now();
-    let map = tsdfuse_io::map_file::read(&args.map)?;
-    let done = Done {
-        path: args.map.clone(),
-        read_seconds: start.elapsed().as_secs_f64(),
-        map: MapReport::of(&map),
-        config,
-        mesh: surface_by(|| args.device.mesh(&map, &config), &map, &config, &args.output)?,
+    let done = match tsdfuse_store::recognises(&args.map) {
+        true => args.of_store(config)?,
+        false => args.of_map(config)?,
     };
     done.map.summarize(None);
     done.mesh.summarize();
@@ -73,6 +78,42 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         print_json(&done)?;
     }
     Ok(Outcome::Complete)
+}
+
+impl Args {
+    fn of_map(&self, config: MeshConfig) -> Result<Done> {
+        let start = Instant::now();
+        let map = tsdfuse_io::map_file::read(&self.map)?;
+        Ok(Done {
+            path: self.map.clone(),
+            read_seconds: start.elapsed().as_secs_f64(),
+            map: MapReport::of(&map),
+            config,
+            mesh: surface_by(|| self.device.mesh(&map, &config), &map, &config, &self.output)?,
+        })
+    }
+
+    /// Of a store nothing is read before it is meshed.
+    fn of_store(&self, config: MeshConfig) -> Result<Done> {
+        if self.device != Device::Cpu {
+            return Err(Usage::new("a store is meshed by the CPU: leave out --device").into());
+        }
+        check_in_parts(&self.output).map_err(Usage::new)?;
+        let (mut map, mut pager, _) = Pager::open(
+            &self.map,
+            Options {
+                limit_bytes: STORE_BYTES,
+            },
+        )?;
+        let mesh = surface_in_parts(&mut map, &mut pager, &config, &self.output)?;
+        Ok(Done {
+            path: self.map.clone(),
+            read_seconds: 0.0,
+            map: MapReport::of_store(&pager, &map),
+            config,
+            mesh,
+        })
+    }
 }
 
 /// Extracts the mesh, which must not be empty, and writes it.
@@ -87,6 +128,9 @@ pub(crate) fn surface_by(
     config: &MeshConfig,
     path: &Path,
 ) -> Result<MeshReport> {
+    if is_tileset(path) {
+        return tiles::write(path, &mut Surface::whole(map, config));
+    }
     let start = Instant::now();
     let spinner = progress::working("extracting the surface");
     let mesh = extract()?;

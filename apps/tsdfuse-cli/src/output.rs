@@ -6,9 +6,18 @@ use std::path::Path;
 use anyhow::{Result, bail};
 
 use crate::exit::Usage;
+use crate::tiles;
+
+/// Whether a mesh is to be written as 3D Tiles.
+pub(crate) fn is_tileset(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"))
+}
 
 /// Checks where a mesh is to go; `json` goes to standard output.
 pub(crate) fn check_mesh(path: &Path, json: bool) -> Result<()> {
+    if is_tileset(path) {
+        return tiles::check(path);
+    }
     if path.as_os_str() != "-" {
         tsdfuse_io::mesh::check(path).map_err(Usage::new)?;
         return check_file(path);

@@ -11,6 +11,7 @@ use tsdfuse::fuse::Skipped;
 use tsdfuse::scan::Dropped;
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Mesh, SensorModel, VoxelMap};
+use tsdfuse_store::Pager;
 
 use crate::config::RunConfig;
 use crate::fuse::{GrowthReport, LoadedMap, PagingReport};
@@ -161,8 +162,20 @@ pub(crate) struct MeshReport {
     pub(crate) triangles: usize,
     /// Extracting it.
     pub(crate) seconds: f64,
-    /// Writing it.
+    /// Writing it, where that comes afterwards.
     pub(crate) write_seconds: f64,
+    /// What it is written as, if not as one file.
+    pub(crate) tiles: Option<TilesReport>,
+}
+
+/// A surface as 3D Tiles.
+#[derive(Debug, Serialize)]
+pub(crate) struct TilesReport {
+    pub(crate) tiles: usize,
+    /// The most that lie one below the other.
+    pub(crate) levels: usize,
+    /// Of all files.
+    pub(crate) bytes: u64,
 }
 
 impl std::ops::AddAssign<&Sums> for Sums {
@@ -184,6 +197,16 @@ impl MapReport {
         Self {
             blocks: map.block_count(),
             observed_voxels: map.observed_voxel_count(),
+            bytes: map.memory_bytes(),
+        }
+    }
+
+    /// Of a map that is paged, as of the last commit; its bytes are those in memory.
+    pub(crate) fn of_store(pager: &Pager, map: &VoxelMap) -> Self {
+        let sizes = pager.sizes();
+        Self {
+            blocks: sizes.blocks as usize,
+            observed_voxels: sizes.observed_voxels as usize,
             bytes: map.memory_bytes(),
         }
     }
@@ -232,6 +255,7 @@ impl MeshReport {
             triangles: mesh.triangles.len(),
             seconds,
             write_seconds: 0.0,
+            tiles: None,
         }
     }
 
@@ -240,6 +264,10 @@ impl MeshReport {
         let count = |n: usize| HumanCount(n as u64);
         let (vertices, triangles) = (count(self.vertices), count(self.triangles));
         say(format_args!("  mesh     {triangles} triangles, {vertices} vertices"));
+        if let Some(TilesReport { tiles, levels, bytes }) = self.tiles {
+            let (tiles, bytes) = (count(tiles), BinaryBytes(bytes));
+            say(format_args!("  tiles    {tiles} in {levels} levels, {bytes}"));
+        }
     }
 
     /// A line for people: where the mesh lies, if it is a file.

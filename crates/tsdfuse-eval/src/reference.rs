@@ -139,6 +139,17 @@ impl Reference {
         }
     }
 
+    /// Whether each point is no farther from the reference than this: what [`Reference::distances`] tells, in less time.
+    pub fn are_within(&self, points: &[DVec3], distance_m: f64) -> Vec<bool> {
+        match &self.shape {
+            Shape::Cloud { .. } => self.distances(points).iter().map(|d| *d <= distance_m).collect(),
+            Shape::Mesh { mesh, tree } => {
+                let tree = tree.get_or_init(|| TriangleTree::new(mesh));
+                tree.are_within(points, distance_m)
+            }
+        }
+    }
+
     /// The box around it.
     pub fn bounds(&self) -> Bounds {
         self.bounds

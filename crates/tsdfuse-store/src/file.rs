@@ -1,5 +1,7 @@
 //! The file: a database of regions, each packed as a map file's groups are, and one note.
 
+use std::fs::File;
+use std::io::Read;
 use std::ops::AddAssign;
 use std::path::Path;
 use std::time::Duration;
@@ -86,6 +88,24 @@ pub(crate) fn create(path: &Path, state: &State) -> Result<Database> {
         let _ = std::fs::remove_file(&temporary);
     }
     made
+}
+
+/// How a database begins.
+const MAGIC: [u8; 4] = *b"redb";
+
+/// Whether a file looks like a store, from its first bytes.
+pub fn recognises(path: impl AsRef<Path>) -> bool {
+    let mut start = [0; MAGIC.len()];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut start));
+    read.is_ok() && start == MAGIC
+}
+
+/// Removes a store that no process has open; tells whether it did. What is no store stays.
+pub fn remove_unused(path: impl AsRef<Path>) -> bool {
+    let path = path.as_ref();
+    // While it is open here, nobody else can open it.
+    let open = recognises(path).then(|| Builder::new().set_cache_size(CACHE_BYTES).open(path));
+    matches!(open, Some(Ok(_))) && std::fs::remove_file(path).is_ok()
 }
 
 /// How often, and how many milliseconds apart, it is seen whether a process that was killed has let go of its store.

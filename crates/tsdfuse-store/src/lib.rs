@@ -38,9 +38,13 @@ mod error;
 mod file;
 mod mesh;
 mod pager;
+mod surface;
+mod weld;
 mod worker;
 
 pub use error::{Result, StoreError};
-pub use file::Sizes;
+pub use file::{Sizes, recognises, remove_unused};
 pub use mesh::Sink;
 pub use pager::{Options, Pager};
+pub use surface::{CUBE_VOXELS, Surface, is_on_plane};
+pub use weld::Weld;

@@ -13,7 +13,7 @@ use tsdfuse::mesh::MeshConfig;
 use super::growing::Growing;
 use crate::device::Device;
 use crate::exit::Usage;
-use crate::output;
+use crate::output::{self, is_tileset};
 use crate::settings::{Settings, hold_out_range};
 
 const EXAMPLES: &str = "\
@@ -32,7 +32,7 @@ Settings: defaults < --config < --set < flags. A report holds all of them.";
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES, group(ArgGroup::new("result").args(["output", "save_map", "preview", "store"]).required(true).multiple(true)))]
 pub(crate) struct Args {
-    /// The mesh to write, .ply, .glb or .obj; `-` writes PLY to standard output.
+    /// The mesh to write, .ply, .glb or .obj; a new folder's NAME/tileset.json for 3D Tiles; `-` writes PLY to standard output.
     #[arg(short, long, value_name = "FILE")]
     pub(super) output: Option<PathBuf>,
     /// Write the mesh so far to --output after every N scans, too, for a viewer that reads it again and again.
@@ -119,6 +119,9 @@ impl Args {
         if let Some(mesh) = &self.output {
             if self.mesh_every.is_some() && mesh.as_os_str() == "-" {
                 return Err(Usage::new("--mesh-every needs a file as --output, not standard output").into());
+            }
+            if self.mesh_every.is_some() && is_tileset(mesh) {
+                return Err(Usage::new("--mesh-every writes one file again and again, not tiles").into());
             }
             if self.mesh_every.is_some() && self.device != Device::Cpu {
                 return Err(Usage::new("--mesh-every follows a map that the CPU fuses: leave out --device").into());

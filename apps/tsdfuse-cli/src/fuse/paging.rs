@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use tsdfuse::fuse::{FuseConfig, Method, RoldaoForm};
 use tsdfuse::index::{BlockIndex, RegionIndex};
@@ -12,12 +11,13 @@ use tsdfuse::mesh::MeshConfig;
 use tsdfuse::scan::Scan;
 use tsdfuse::{Pose, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::{Reader, Writer};
-use tsdfuse_io::ply;
-use tsdfuse_store::{Options, Pager, Sink};
+use tsdfuse_store::{Options, Pager};
 
 use super::args::{Args, Memory};
+use super::hidden::{Removed, hidden_store, remove_stale};
 use crate::config::RunConfig;
 use crate::exit::Usage;
+use crate::mesh::{check_in_parts, surface_in_parts};
 use crate::progress::{note, say};
 use crate::report::{MapReport, MeshReport, SavedMap, SkippedScan, Sums, command_line};
 
@@ -90,16 +90,6 @@ pub(super) struct Paging {
     commits: usize,
     paging_seconds: f64,
     commit_seconds: f64,
-}
-
-/// A file that is removed in the end.
-struct Removed(PathBuf);
-
-impl Drop for Removed {
-    fn drop(&mut self) {
-        // It is of no use to anybody.
-        let _ = std::fs::remove_file(&self.0);
-    }
 }
 
 impl Progress {
@@ -276,12 +266,7 @@ impl Paging {
 
     /// The whole map, after the last commit.
     pub(super) fn map_report(&self, map: &VoxelMap) -> MapReport {
-        let sizes = self.pager.sizes();
-        MapReport {
-            blocks: sizes.blocks as usize,
-            observed_voxels: sizes.observed_voxels as usize,
-            bytes: map.memory_bytes(),
-        }
+        MapReport::of_store(&self.pager, map)
     }
 
     /// Puts a saved map into the store, for good; tells how many blocks it has.
@@ -339,38 +324,7 @@ impl Paging {
 
     /// Extracts the surface of the whole map, which must not be empty, and writes it.
     pub(super) fn surface(&mut self, map: &mut VoxelMap, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
-        let start = Instant::now();
-        let mut out = Parts(ply::Stream::new(path)?);
-        self.pager.mesh(map, config, &mut out)?;
-        let (vertices, triangles) = out.0.counts();
-        if triangles == 0 {
-            bail!(
-                "the map has no surface: no triangle at a weight of {} or more",
-                config.min_weight
-            );
-        }
-        let seconds = start.elapsed().as_secs_f64();
-        out.0.finish()?;
-        Ok(MeshReport {
-            path: path.to_owned(),
-            vertices: vertices as usize,
-            triangles: triangles as usize,
-            seconds,
-            write_seconds: start.elapsed().as_secs_f64() - seconds,
-        })
-    }
-}
-
-/// A PLY file that takes a mesh in parts.
-struct Parts(ply::Stream);
-
-impl Sink for Parts {
-    fn vertices(&mut self, positions: &[DVec3], normals: &[Vec3]) -> std::io::Result<()> {
-        self.0.vertices(positions, normals)
-    }
-
-    fn triangles(&mut self, triangles: &[[u32; 3]]) -> std::io::Result<()> {
-        self.0.triangles(triangles)
+        surface_in_parts(map, &mut self.pager, config, path)
     }
 }
 
@@ -395,21 +349,21 @@ impl Args {
     fn hidden_store(&self) -> Result<PathBuf> {
         let result = self.output.as_ref().or(self.save_map.as_ref());
         let result = result.context("--memory needs --output or --save-map")?;
-        let name = result.file_name().unwrap_or_default().to_string_lossy();
-        Ok(result.with_file_name(format!(".{name}.{}.store", std::process::id())))
+        let store = hidden_store(result);
+        remove_stale(&store);
+        Ok(store)
     }
 
     /// Refuses what needs the whole map, or what a store cannot hold.
     fn check_paging(&self, config: &RunConfig) -> Result<()> {
-        let is_ply = |path: &PathBuf| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"));
         let reason = if config.method == Method::Roldao && config.roldao.form == RoldaoForm::Batch {
             "roldao.form = batch keeps the points of all scans in memory"
         } else if self.mesh_every.is_some() {
             "--mesh-every needs the whole map in memory"
         } else if self.preview.is_some() {
             "--preview needs the whole map in memory"
-        } else if self.output.as_ref().is_some_and(|path| !is_ply(path)) {
-            "a mesh that comes in parts is written as a .ply file"
+        } else if let Some(Err(reason)) = self.output.as_deref().map(check_in_parts) {
+            reason
         } else {
             return Ok(());
         };

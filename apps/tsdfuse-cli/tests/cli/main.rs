@@ -18,3 +18,5 @@ mod render;
 mod rgbd;
 mod run;
 mod simulate;
+#[cfg(feature = "tiles")]
+mod tiles;

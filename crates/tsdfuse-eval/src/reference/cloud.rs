@@ -37,7 +37,7 @@ impl CloudTree {
                 .knn_advanced(1, &Point::of(p), CandidateContainer::Linear, &EXACT, None);
             found.first().map_or(f64::INFINITY, |nearest| nearest.dist2.sqrt())
         };
-        coherent::distances(points, distance)
+        coherent::answers(points, distance)
     }
 }
 

@@ -5,8 +5,8 @@ use tsdfuse::glam::DVec3;
 
 use super::Bounds;
 
-/// `distance` of each point, in the order of the points.
-pub(super) fn distances(points: &[DVec3], distance: impl Fn(DVec3) -> f64 + Sync) -> Vec<f64> {
+/// `answer` to each point, in the order of the points.
+pub(super) fn answers<T: Copy + Default + Send>(points: &[DVec3], answer: impl Fn(DVec3) -> T + Sync) -> Vec<T> {
     let Some(bounds) = Bounds::of(points) else {
         return Vec::new();
     };
@@ -16,13 +16,13 @@ pub(super) fn distances(points: &[DVec3], distance: impl Fn(DVec3) -> f64 + Sync
         .map(|(&p, i)| (morton(p, &bounds), i))
         .collect();
     order.par_sort_unstable();
-    let ordered: Vec<f64> = order.par_iter().map(|&(_, i)| distance(points[i as usize])).collect();
-    let mut distances = vec![0.0; points.len()];
+    let ordered: Vec<T> = order.par_iter().map(|&(_, i)| answer(points[i as usize])).collect();
+    let mut answers = vec![T::default(); points.len()];
     order
         .iter()
         .zip(ordered)
-        .for_each(|(&(_, i), distance)| distances[i as usize] = distance);
-    distances
+        .for_each(|(&(_, i), answer)| answers[i as usize] = answer);
+    answers
 }
 
 /// Bits of the coordinates in turn, 10 of each.

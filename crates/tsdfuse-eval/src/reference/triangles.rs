@@ -25,7 +25,16 @@ impl TriangleTree {
             let nearest = self.0.nearest_neighbor_with_distance_2(p.to_array());
             nearest.map_or(f64::INFINITY, |(_, squared)| squared.sqrt())
         };
-        coherent::distances(points, distance)
+        coherent::answers(points, distance)
+    }
+
+    /// Whether a triangle is no farther from each of `points` than this.
+    pub(crate) fn are_within(&self, points: &[DVec3], distance_m: f64) -> Vec<bool> {
+        let is_within = |p: DVec3| {
+            let within = self.0.locate_within_distance(p.to_array(), distance_m * distance_m);
+            within.take(1).count() > 0
+        };
+        coherent::answers(points, is_within)
     }
 }
 

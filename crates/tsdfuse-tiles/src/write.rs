@@ -1,0 +1,139 @@
+//! From the surface of a map to a folder of tiles.
+
+use std::io::Write;
+use std::path::Path;
+
+use rayon::prelude::*;
+use serde::Serialize;
+use tsdfuse::glam::{DVec3, IVec3};
+use tsdfuse::mesh::MeshConfig;
+use tsdfuse_store::{CUBE_VOXELS, Surface, Weld};
+
+use crate::error::{Result, TilesError};
+use crate::folder::{Folder, check};
+use crate::tile::{Cube, Place, Tile};
+use crate::tileset::Tileset;
+
+/// The level at which the tiles about the origin of any map are the last eight.
+const TOP: u32 = 27;
+
+/// What was written.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Written {
+    /// Tiles, each of which is a file beside `tileset.json`.
+    pub tiles: usize,
+    /// The most tiles that lie one below the other.
+    pub levels: usize,
+    /// Vertices of the finest tiles; those that tiles share are counted for each.
+    pub vertices: usize,
+    /// Triangles of the finest tiles, which are those of the whole surface.
+    pub triangles: usize,
+    /// All files together.
+    pub bytes: u64,
+}
+
+/// Writes a surface as 3D Tiles: `tileset` (`NAME/tileset.json`), and beside it the tiles. The folder appears when it is complete.
+///
+/// # Errors
+/// As [`check`] and [`Surface::pieces`]; [`TilesError::NoSurface`]; also names the file that cannot be written.
+pub fn write(tileset: &Path, surface: &mut Surface<'_>) -> Result<Written> {
+    let folder = Folder::begin(check(tileset)?)?;
+    let mut cubes = surface.cubes();
+    let config = *surface.config();
+    let mut writer = Writer {
+        place: Place {
+            folder: folder.path(),
+            origin: middle(&cubes, surface.grid().voxel_size_m()),
+            grid: surface.grid(),
+        },
+        surface,
+        written: Written::default(),
+    };
+    let root = writer.tile(TOP, &mut cubes)?;
+    let Writer { place, mut written, .. } = writer;
+    let root = root.ok_or(no_surface(&config))?;
+    let size_m = root.bounds().diagonal_m();
+    let root = root.write(&place)?;
+    (written.tiles, written.levels) = root.count();
+    let text = serde_json::to_vec(&Tileset::new(root, place.origin, size_m)).map_err(|e| TilesError::Folder {
+        path: tileset.to_owned(),
+        reason: e.to_string(),
+    })?;
+    let name = tileset.file_name().unwrap_or_default();
+    tsdfuse_io::atomic::write(folder.path().join(name), |out| out.write_all(&text))?;
+    written.bytes = folder.bytes()?;
+    folder.finish()?;
+    Ok(written)
+}
+
+fn no_surface(config: &MeshConfig) -> TilesError {
+    TilesError::NoSurface {
+        min_weight: config.min_weight,
+    }
+}
+
+/// Whole metres in the middle of some cubes, world.
+fn middle(cubes: &[IVec3], voxel_size_m: f64) -> DVec3 {
+    let first = cubes.iter().copied().reduce(IVec3::min).unwrap_or_default();
+    let last = cubes.iter().copied().reduce(IVec3::max).unwrap_or_default();
+    let edge_m = f64::from(CUBE_VOXELS) * voxel_size_m;
+    ((first.as_dvec3() + last.as_dvec3() + 1.0) / 2.0 * edge_m).round()
+}
+
+/// What tiles are made of and where they go.
+struct Writer<'a, 'b> {
+    surface: &'a mut Surface<'b>,
+    place: Place<'a>,
+    written: Written,
+}
+
+impl Writer<'_, '_> {
+    /// The tile that some of the surface's cubes make, which lie in one cube of this level; `None` if they have no surface.
+    fn tile(&mut self, level: u32, cubes: &mut [IVec3]) -> Result<Option<Tile>> {
+        let Some(first) = cubes.first() else { return Ok(None) };
+        let index = *first >> (level - 1);
+        let child_of = |cube: IVec3| cube >> (level - 2);
+        let tiles = if level == 2 {
+            // Found one after the other, each by all threads; made coarser side by side.
+            let finest: Vec<_> = cubes.iter().map(|cube| self.finest(*cube)).collect::<Result<_>>()?;
+            let join = |(&index, tiles)| Tile::join(Cube { level: 1, index }, tiles, &self.place);
+            cubes.par_iter().zip(finest).map(join).collect::<Result<Vec<_>>>()?
+        } else {
+            cubes.sort_by_key(|cube| {
+                let child = child_of(*cube);
+                (child.z, child.y, child.x)
+            });
+            let children = cubes.chunk_by_mut(|a, b| child_of(*a) == child_of(*b));
+            children
+                .map(|cubes| self.tile(level - 1, cubes))
+                .collect::<Result<Vec<_>>>()?
+        };
+        Tile::join(
+            Cube { level, index },
+            tiles.into_iter().flatten().collect(),
+            &self.place,
+        )
+    }
+
+    /// The finest tiles of a cube.
+    fn finest(&mut self, cube: IVec3) -> Result<Vec<Tile>> {
+        let mut parts: [Weld; 8] = Default::default();
+        let index = |part: usize| (cube << 1) + IVec3::new(part as i32 & 1, part as i32 >> 1 & 1, part as i32 >> 2);
+        for piece in self.surface.pieces(cube)? {
+            let half: IVec3 = (piece.block.0 >> 4) & 1;
+            let part = half.x | half.y << 1 | half.z << 2;
+            parts[part as usize & 7].add(piece.vertices, piece.normals, piece.triangles);
+        }
+        let tiles = parts.into_iter().enumerate().filter_map(|(part, weld)| {
+            let index = index(part);
+            Tile::finest(Cube { level: 0, index }, weld.finish())
+        });
+        let tiles: Vec<Tile> = tiles.collect();
+        for tile in &tiles {
+            let (vertices, triangles) = tile.counts();
+            self.written.vertices += vertices;
+            self.written.triangles += triangles;
+        }
+        Ok(tiles)
+    }
+}
