@@ -31,21 +31,30 @@ pub(crate) struct Flight {
     submission: Option<wgpu::SubmissionIndex>,
 }
 
+/// What a scan brings along.
+#[derive(Clone, Copy)]
+pub(crate) struct Parcel<'a> {
+    pub(crate) name: &'a str,
+    /// The columns of its returns.
+    pub(crate) columns: &'a [&'a [u8]],
+    /// What its kernels leave to each other.
+    pub(crate) scratch: &'a [wgpu::Buffer],
+}
+
 /// Frames are this far apart: what all devices can bind.
 pub(crate) const FRAME_STRIDE: u64 = 256;
 const _: () = assert!(size_of::<Frame>() as u64 <= FRAME_STRIDE);
 
 impl Flight {
-    /// Takes a scan: its frames, one for each dispatch, and the columns of its returns. `self`'s buffers are used if they are
-    /// large enough.
+    /// Takes a scan and its frames, one for each dispatch. The old one's buffers are used if they are large enough.
     pub(crate) fn load(
         old: Option<Self>,
         gpu: &Gpu,
         layout: &wgpu::BindGroupLayout,
-        name: &str,
         frames: Vec<Frame>,
-        columns: &[&[u8]],
+        parcel: &Parcel<'_>,
     ) -> Result<Self, GpuError> {
+        let Parcel { name, columns, scratch } = *parcel;
         let returns_at = FRAME_STRIDE * frames.len().max(1) as u64;
         let returns: u64 = columns.iter().map(|c| c.len() as u64).sum();
         let bytes = returns_at + returns.max(4);
@@ -91,7 +100,9 @@ impl Flight {
             })
         };
         let frame = part(0, size_of::<Frame>() as u64);
-        let bind_group = gpu.bind(layout, [frame, part(returns_at, bytes - returns_at)]);
+        let scan = [frame, part(returns_at, bytes - returns_at)];
+        let scratch = scratch.iter().map(wgpu::Buffer::as_entire_binding);
+        let bind_group = gpu.bind(layout, scan.into_iter().chain(scratch));
         Ok(Self {
             name: name.to_owned(),
             staging,

@@ -13,7 +13,7 @@ use crate::sensor::{NONE, ScanImage};
 pub(super) type Sums = [f64; 10];
 
 /// Windows may reach this many columns to each side.
-pub(super) const MAX_COLUMNS: usize = 16;
+pub const MAX_COLUMNS: usize = 16;
 
 /// Rings of a band.
 const BAND: usize = 16;

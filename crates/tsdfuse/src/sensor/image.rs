@@ -127,8 +127,8 @@ impl ScanImage {
         self.ring_gap_tangents.get(ring).copied().unwrap_or(0.0)
     }
 
-    /// As [`Self::ring_gap_tangent`]; of the uppermost ring, that to the one below.
-    pub(crate) fn ring_gap_beside(&self, ring: usize) -> f32 {
+    /// The tangent of the angle between a ring and the next one above; of the uppermost ring, to the one below.
+    pub fn ring_gap_beside(&self, ring: usize) -> f32 {
         self.ring_gap_tangent(ring.min(self.rings().saturating_sub(2)))
     }
 
