@@ -15,11 +15,11 @@ use tsdfuse::{
 };
 
 use crate::{
-    constants::PATCH_CONSTANTS,
+    constants::CONSTANTS,
     frame::{ALLOCATE, FUSE, Frame},
     map::{Header, POOL_FULL},
     method::{METHODS, Prepare},
-    prepared::{CELL_BYTES, PATCH_BYTES},
+    prepared::{CELL_BYTES, OFFER_BYTES, PATCH_BYTES, PLACE_BYTES, RING_BYTES},
     render,
     shader::{ANGLES, FIND_SURFACE, FRAME, KEEP, LINES, Paging, RENDER, SURFACE, WRITE_MESH, source},
     surface::Params,
@@ -88,8 +88,8 @@ macro_rules! layout {
 
 fn frame_layout() -> Vec<(String, usize)> {
     layout!(Frame: world_x mode world_y first world_z count anchor_voxel stamp anchor_fraction voxels_per_m turn_axis
-        turn_rate velocity truncation_vox max_weight_sum heavy_sum times_at cells_at image_at rings columns max_range_m min_dot
-        total window_m noise_m step_m max_gap_m column_rad gaps_at nearest_at camera)
+        turn_rate velocity truncation_vox max_weight_sum heavy_sum times_at rings_at rings columns max_range_m min_dot
+        total window_m noise_m step_m max_gap_m column_rad columns_per_rad gaps_at nearest_at camera)
 }
 
 #[test]
@@ -211,7 +211,7 @@ fn angles_are_the_cpus() {
 
 #[test]
 fn what_is_tuned_on_the_cpu_is_tuned_here() {
-    let source = PATCH_CONSTANTS.as_str();
+    let source = CONSTANTS.as_str();
     for (name, value) in [
         ("FRONT", twin::FRONT),
         ("MAX_OFF_BETWEEN", twin::MAX_OFF_BETWEEN),
@@ -224,10 +224,16 @@ fn what_is_tuned_on_the_cpu_is_tuned_here() {
 }
 
 #[test]
-fn cells_and_patches_have_one_size() {
+fn what_kernels_leave_to_each_other_has_one_size() {
     let (_, kernels) = Prepare::new(Method::Patch, &FuseConfig::default(), None).unwrap();
     let module = parse(&source(PAGING, &kernels.parts));
-    for (name, bytes) in [("Cell", CELL_BYTES), ("Patch", PATCH_BYTES)] {
+    for (name, bytes) in [
+        ("Cell", CELL_BYTES),
+        ("Place", PLACE_BYTES),
+        ("Offer", OFFER_BYTES),
+        ("Ring", RING_BYTES),
+        ("Patch", PATCH_BYTES),
+    ] {
         let found = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name));
         let Some(TypeInner::Struct { span, .. }) = found.map(|(_, t)| &t.inner) else {
             panic!("there is no struct {name}");

@@ -56,7 +56,8 @@ impl Flight {
     ) -> Result<Self, GpuError> {
         let Parcel { name, columns, scratch } = *parcel;
         let returns_at = FRAME_STRIDE * frames.len().max(1) as u64;
-        let returns: u64 = columns.iter().map(|c| c.len() as u64).sum();
+        // Whole words.
+        let returns = columns.iter().map(|c| c.len() as u64).sum::<u64>().next_multiple_of(4);
         let bytes = returns_at + returns.max(4);
         if bytes > gpu.binding_limit() {
             return Err(GpuError::TooLarge {

@@ -25,8 +25,7 @@ pub(crate) struct Frame {
     pub(crate) max_weight_sum: u32,
     pub(crate) heavy_sum: u32,
     pub(crate) times_at: u32,
-    pub(crate) cells_at: u32,
-    pub(crate) image_at: u32,
+    pub(crate) rings_at: u32,
     pub(crate) rings: u32,
     pub(crate) columns: u32,
     pub(crate) max_range_m: f32,
@@ -37,6 +36,7 @@ pub(crate) struct Frame {
     pub(crate) step_m: f32,
     pub(crate) max_gap_m: f32,
     pub(crate) column_rad: f32,
+    pub(crate) columns_per_rad: f32,
     pub(crate) gaps_at: u32,
     pub(crate) nearest_at: u32,
     /// Vectors of four begin at multiples of 16 bytes.

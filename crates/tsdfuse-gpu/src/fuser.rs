@@ -12,7 +12,7 @@ use tsdfuse::{
 use crate::device::GpuError;
 use crate::flight::{FRAME_STRIDE, Flight, Parcel};
 use crate::frame::{ALLOCATE, FUSE, Frame};
-use crate::kernels::{Step, WORKGROUP, Work};
+use crate::kernels::{LIMIT_WEIGHTS, Step, WORKGROUP, Work};
 use crate::map::{DeviceMap, Header};
 use crate::method::Prepare;
 use crate::prepared::{Prepared, pieces};
@@ -196,12 +196,21 @@ impl Fuser {
         Ok(self.map)
     }
 
+    /// What kernels leave to each other.
+    #[cfg(test)]
+    pub(crate) fn scratch(&self) -> &[wgpu::Buffer] {
+        self.scratch.buffers()
+    }
+
     /// Sends a scan's kernels; its returns only the first time.
     fn send(&self, flight: &mut Flight, is_first: bool) {
         let gpu = &self.map.gpu;
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         if is_first {
             flight.upload(&mut encoder);
+        }
+        if !self.before.is_empty() {
+            self.scratch.clear(&mut encoder);
         }
         encoder.clear_buffer(self.map.state(), Header::SCAN, Some(Header::BYTES - Header::SCAN));
         let mut dispatch = |kernel: &Kernel, (offset, frame): (u32, &Frame)| {
@@ -304,9 +313,3 @@ fn frames(prepared: &Prepared<'_>, map: &VoxelMap, stamp: u32, by_block: bool) -
     let updated = updated.into_iter().filter(|piece| !piece.is_empty());
     Ok(made.chain(updated.map(|piece| frame(FUSE, piece))).collect())
 }
-
-const LIMIT_WEIGHTS: Step = Step {
-    name: "limit_weights",
-    entry: "limit_weights",
-    work: Work::Blocks,
-};

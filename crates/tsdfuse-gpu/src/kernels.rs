@@ -1,8 +1,8 @@
 //! The kernels of a method, in the order in which a scan goes through them.
 
-use crate::constants::PATCH_CONSTANTS;
+use crate::constants::CONSTANTS;
 use crate::frame::Frame;
-use crate::shader::{ANGLES, CARVE, CELLS, CYLINDER, FRAME, LINES, ONE_LINE, PATCH, PLANES};
+use crate::shader::{ANGLES, CARVE, CYLINDER, DEPTH, FRAME, IMAGE, LINES, NORMALS, ONE_LINE, PATCH, PLANES};
 
 /// A kernel, and how much of it runs.
 #[derive(Clone, Copy, Debug)]
@@ -19,7 +19,9 @@ pub(crate) struct Step {
 pub(crate) enum Work {
     /// So many threads for each return (or pixel) of a dispatch.
     Returns(u32),
-    /// Threads that take cells of the organized image, or samples of them, in turns.
+    /// Threads that take returns of the whole scan in turns.
+    Scan,
+    /// Threads that take cells of the organized image in turns.
     Cells,
     /// Workgroups that take blocks in turns.
     Blocks,
@@ -38,6 +40,7 @@ impl Work {
     pub(crate) fn workgroups(self, frame: &Frame, capacity: u32) -> u32 {
         match self {
             Self::Returns(threads) => threads * frame.count.div_ceil(WORKGROUP),
+            Self::Scan => frame.total.div_ceil(WORKGROUP).min(IN_TURNS),
             Self::Cells => (frame.rings * frame.columns).div_ceil(WORKGROUP).min(IN_TURNS),
             Self::Blocks => capacity.min(IN_TURNS),
             Self::Once => 1,
@@ -87,7 +90,7 @@ impl Kernels {
     pub(crate) fn depth() -> Self {
         let step = |name, entry, work| Step { name, entry, work };
         Self {
-            parts: vec![FRAME, crate::shader::DEPTH],
+            parts: vec![FRAME, DEPTH],
             before: Vec::new(),
             allocate: step("allocate", "allocate_depth", Work::Returns(1)),
             fuse: step("fuse", "fuse_depth", Work::Blocks),
@@ -95,20 +98,49 @@ impl Kernels {
         }
     }
 
+    /// Those of local normals.
+    pub(crate) fn normals() -> Self {
+        Self {
+            before: image(),
+            ..Self::one_line(&[&CONSTANTS, ANGLES, IMAGE, CYLINDER, NORMALS])
+        }
+    }
+
     /// Those of surface patches, where noise is estimated and free space erases, or not.
     pub(crate) fn patch(estimates_noise: bool, carves: bool) -> Self {
-        let step = |entry, work| Step {
-            name: entry,
-            entry,
-            work,
-        };
-        let noise = [step("sample_noise", Work::Cells), step("choose_noise", Work::Once)];
-        let noise = noise.into_iter().filter(|_| estimates_noise);
-        let planes = std::iter::once(step("place_cells", Work::Cells)).chain(noise);
+        let mut before = image();
+        if estimates_noise {
+            before.extend([step("sample_noise", Work::Scan), step("choose_noise", Work::Once)]);
+        }
+        before.push(step("find_planes", Work::Cells));
         Self {
-            before: planes.chain([step("find_planes", Work::Cells)]).collect(),
+            before,
             after: carves.then(|| step("carve", Work::Blocks)).into_iter().collect(),
-            ..Self::lines(3, &[&PATCH_CONSTANTS, ANGLES, CELLS, PLANES, CYLINDER, PATCH, CARVE])
+            ..Self::lines(3, &[&CONSTANTS, ANGLES, IMAGE, PLANES, CYLINDER, PATCH, CARVE])
         }
     }
 }
+
+/// A kernel that has the same name everywhere.
+const fn step(name: &'static str, work: Work) -> Step {
+    Step {
+        name,
+        entry: name,
+        work,
+    }
+}
+
+/// Those that make the organized image.
+fn image() -> Vec<Step> {
+    vec![
+        step("find_azimuths", Work::Scan),
+        step("find_phases", Work::Cells),
+        step("offer_cells", Work::Scan),
+        step("choose_nearest", Work::Scan),
+        step("move_aside", Work::Scan),
+        step("place_cells", Work::Cells),
+    ]
+}
+
+/// Limits the weights of what a scan updated.
+pub(crate) const LIMIT_WEIGHTS: Step = step("limit_weights", Work::Blocks);

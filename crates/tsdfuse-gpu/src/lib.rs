@@ -40,6 +40,8 @@ mod device;
 mod flight;
 mod frame;
 mod fuser;
+#[cfg(test)]
+mod image;
 mod kernels;
 mod map;
 mod mesh;

@@ -6,13 +6,13 @@ use tsdfuse::{
     Scan, SensorModel,
     fuse::{Beams, Cylindrical, Distance, FuseConfig, FuseError, Method, PatchConfig, Skipped, twin},
     normals::{Estimator, NormalsConfig},
-    sensor::{DepthImage, ScanImage, rings_of},
+    sensor::{DepthImage, rings_of},
 };
 
 use crate::device::GpuError;
 use crate::kernels::Kernels;
 use crate::prepared::{Image, Prepared, Surface, range_weights, weights};
-use crate::shader::{ANGLES, CYLINDER, EUCLIDEAN, NORMALS, PROJECTIVE, RAYCAST};
+use crate::shader::{EUCLIDEAN, PROJECTIVE, RAYCAST};
 
 /// The methods that run on the device.
 pub const METHODS: [Method; 5] = [
@@ -29,11 +29,7 @@ pub(crate) enum Prepare {
     /// The returns as they are.
     Raycast,
     /// Who is whose neighbour.
-    Normals {
-        config: NormalsConfig,
-        beams: Beams,
-        image: Box<ScanImage>,
-    },
+    Normals { config: NormalsConfig, beams: Beams },
     /// The returns, rounded to pixels.
     Cylindrical(Box<Cylindrical>),
     /// The depth image.
@@ -42,9 +38,7 @@ pub(crate) enum Prepare {
     Patch {
         config: PatchConfig,
         beams: Beams,
-        image: Box<ScanImage>,
-        /// The nearest ring of each bin of elevation, and the beams of which this is true.
-        nearest: (Vec<f32>, Vec<u32>),
+        angles: Box<Angles>,
     },
 }
 
@@ -73,9 +67,8 @@ impl Prepare {
                 let neighbours = Self::Normals {
                     config: config.normals,
                     beams: Beams::new(sensor),
-                    image: Box::default(),
                 };
-                Ok((neighbours, Kernels::one_line(&[ANGLES, CYLINDER, NORMALS])))
+                Ok((neighbours, Kernels::normals()))
             }
             Method::Normals => {
                 let what = "normals.estimator = holz does not run on the GPU; adjacent does";
@@ -87,8 +80,7 @@ impl Prepare {
                 let neighbours = Self::Patch {
                     config: config.patch,
                     beams: Beams::new(sensor),
-                    image: Box::default(),
-                    nearest: Default::default(),
+                    angles: Box::default(),
                 };
                 Ok((neighbours, Kernels::patch(noise_m == 0.0, carve)))
             }
@@ -129,42 +121,53 @@ impl Prepare {
                     ..as_it_is(Vec::new())
                 })
             }
-            Self::Normals { config, beams, image } => {
+            Self::Normals { config, beams } => {
                 let sensor = beams.of(scan)?;
-                image.update(&scan.points, &rings_of(scan, sensor), sensor);
-                let mut image = Image::of(image, scan.points.len());
-                (image.max_range_m, image.min_dot) = (sensor.max_range_m, config.min_dot);
                 Ok(Prepared {
-                    image: Some(image),
+                    image: Some(Image {
+                        min_dot: config.min_dot,
+                        ..Image::of(sensor, rings_of(scan, sensor))
+                    }),
                     // (5.20)
                     ..as_it_is(weights(&scan.points, |_| 1.0))
                 })
             }
-            Self::Patch {
-                config,
-                beams,
-                image,
-                nearest: (known, nearest),
-            } => {
+            Self::Patch { config, beams, angles } => {
                 let (sensor, rings) = beams.or_grid(scan)?;
-                image.update(&scan.points, &rings, &sensor);
-                if *known != sensor.elevations_deg {
-                    *nearest = twin::nearest_rings(&sensor).into_iter().map(u32::from).collect();
-                    known.clone_from(&sensor.elevations_deg);
-                }
+                angles.update(&sensor);
                 let surface = Surface {
                     config: *config,
-                    gaps: (0..image.rings()).map(|ring| image.ring_gap_beside(ring)).collect(),
-                    column_rad: sensor.column_width_rad() as f32,
-                    nearest,
+                    gaps: &angles.gaps,
+                    nearest: &angles.nearest,
                 };
                 let weights = surface.weights(scan);
                 Ok(Prepared {
-                    image: Some(Image::of(image, scan.points.len())),
+                    image: Some(Image::of(&sensor, rings)),
                     surface: Some(surface),
                     ..as_it_is(weights)
                 })
             }
+        }
+    }
+}
+
+/// What is known of a sensor's beams.
+#[derive(Debug, Default)]
+pub(crate) struct Angles {
+    elevations_deg: Vec<f32>,
+    /// Tangents of the angles between each ring and the next; of the uppermost one, to the one below.
+    gaps: Vec<f32>,
+    /// The nearest ring of each bin of elevation.
+    nearest: Vec<u32>,
+}
+
+impl Angles {
+    fn update(&mut self, sensor: &SensorModel) {
+        if self.elevations_deg != sensor.elevations_deg {
+            self.elevations_deg.clone_from(&sensor.elevations_deg);
+            self.nearest = twin::nearest_rings(sensor).into_iter().map(u32::from).collect();
+            self.gaps = twin::ring_gap_tangents(sensor);
+            self.gaps.push(self.gaps.last().copied().unwrap_or(0.0));
         }
     }
 }

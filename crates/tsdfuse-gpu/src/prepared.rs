@@ -1,14 +1,15 @@
 //! A scan as it is sent: its columns, and what kernels are told of them.
 
 use std::borrow::Cow;
+use std::f32::consts::TAU;
 use std::ops::Range;
 
 use rayon::prelude::*;
 use tsdfuse::{
-    Scan,
+    Scan, SensorModel,
     fuse::{PatchConfig, Skipped, twin},
     glam::Vec3,
-    sensor::{NONE, Pinhole, ScanImage},
+    sensor::Pinhole,
 };
 
 use crate::frame::Frame;
@@ -22,20 +23,16 @@ pub(crate) struct Prepared<'a> {
     pub(crate) weights: Vec<f32>,
     /// Returns, or pixels.
     pub(crate) items: usize,
-    pub(crate) image: Option<Image>,
+    pub(crate) image: Option<Image<'a>>,
     pub(crate) surface: Option<Surface<'a>>,
     pub(crate) depth: Option<(Pinhole, &'a [f32])>,
 }
 
-/// An organized image as it is sent.
-#[derive(Default)]
-pub(crate) struct Image {
-    /// The cell of each return, row by row, or [`NONE`].
-    cell_of: Vec<u32>,
-    /// The return in each cell, or [`NONE`].
-    cells: Vec<u32>,
-    rings: u32,
-    columns: u32,
+/// What makes the organized image of a scan.
+pub(crate) struct Image<'a> {
+    /// The ring of each return.
+    pub(crate) rings: Cow<'a, [u16]>,
+    pub(crate) size: [u32; 2],
     pub(crate) max_range_m: f32,
     pub(crate) min_dot: f32,
 }
@@ -44,8 +41,7 @@ pub(crate) struct Image {
 pub(crate) struct Surface<'a> {
     pub(crate) config: PatchConfig,
     /// Tangents of the angles between rings.
-    pub(crate) gaps: Vec<f32>,
-    pub(crate) column_rad: f32,
+    pub(crate) gaps: &'a [f32],
     /// The nearest ring of each bin of elevation.
     pub(crate) nearest: &'a [u32],
 }
@@ -82,16 +78,14 @@ pub(crate) fn pieces(weights: &[f32], all: usize, most_returns: usize, most_weig
     pieces
 }
 
-impl Image {
-    /// That of so many returns.
-    pub(crate) fn of(image: &ScanImage, returns: usize) -> Self {
-        let cell = |(ring, column)| (ring * image.columns() + column) as u32;
+impl<'a> Image<'a> {
+    /// That of a sensor.
+    pub(crate) fn of(sensor: &SensorModel, rings: Cow<'a, [u16]>) -> Self {
         Self {
-            cell_of: (0..returns).map(|i| image.place_of(i).map_or(NONE, cell)).collect(),
-            cells: (0..image.rings()).flat_map(|ring| image.row(ring)).copied().collect(),
-            rings: image.rings() as u32,
-            columns: image.columns() as u32,
-            ..Self::default()
+            rings,
+            size: [sensor.rings() as u32, sensor.columns],
+            max_range_m: sensor.max_range_m,
+            min_dot: 0.0,
         }
     }
 }
@@ -120,7 +114,7 @@ impl Surface<'_> {
 }
 
 impl Prepared<'_> {
-    /// What is sent: points, times if returns are placed by them, then the image; of a depth image its depths alone.
+    /// What is sent: points, times if returns are placed by them, the sensor's angles, rings; of a depth image its depths alone.
     pub(crate) fn columns(&self) -> Vec<&[u8]> {
         if let Some((_, depths)) = &self.depth {
             return vec![bytemuck::cast_slice(depths)];
@@ -129,14 +123,11 @@ impl Prepared<'_> {
             bytemuck::cast_slice(&self.scan.points),
             bytemuck::cast_slice(self.times()),
         ];
-        if let Some(image) = &self.image {
-            columns.extend([bytemuck::cast_slice(&image.cell_of), bytemuck::cast_slice(&image.cells)]);
+        if let Some(Surface { gaps, nearest, .. }) = &self.surface {
+            columns.extend([bytemuck::cast_slice(gaps), bytemuck::cast_slice(nearest)]);
         }
-        if let Some(surface) = &self.surface {
-            columns.extend([
-                bytemuck::cast_slice(&surface.gaps),
-                bytemuck::cast_slice(surface.nearest),
-            ]);
+        if let Some(image) = &self.image {
+            columns.push(bytemuck::cast_slice(&image.rings));
         }
         columns
     }
@@ -158,12 +149,6 @@ impl Prepared<'_> {
         if !self.times().is_empty() {
             frame.times_at = place(self.times().len());
         }
-        if let Some(image) = &self.image {
-            frame.cells_at = place(image.cell_of.len());
-            frame.image_at = place(image.cells.len());
-            (frame.rings, frame.columns) = (image.rings, image.columns);
-            (frame.max_range_m, frame.min_dot) = (image.max_range_m, image.min_dot);
-        }
         if let Some(surface) = &self.surface {
             frame.gaps_at = place(surface.gaps.len());
             frame.nearest_at = place(surface.nearest.len());
@@ -175,18 +160,36 @@ impl Prepared<'_> {
             } = surface.config;
             (frame.window_m, frame.noise_m, frame.max_gap_m) = (window_m, noise_m, max_gap_m);
             frame.step_m = twin::STEP / frame.voxels_per_m;
-            frame.column_rad = surface.column_rad;
+        }
+        if let Some(image) = &self.image {
+            frame.rings_at = place(image.rings.len().div_ceil(2));
+            [frame.rings, frame.columns] = image.size;
+            frame.columns_per_rad = frame.columns as f32 / TAU;
+            frame.column_rad = (std::f64::consts::TAU / f64::from(frame.columns)) as f32;
+            (frame.max_range_m, frame.min_dot) = (image.max_range_m, image.min_dot);
         }
     }
 
-    /// Bytes of the buffers beside the scan that its kernels use: placed cells, patches, noise.
+    /// Bytes of the buffers beside the scan that its kernels use: see [`Scratch`](crate::scratch::Scratch).
     pub(crate) fn scratch(&self) -> Vec<u64> {
-        let Some((image, _)) = self.image.as_ref().zip(self.surface.as_ref()) else {
+        let Some(Image {
+            size: [rings, columns], ..
+        }) = self.image
+        else {
             return Vec::new();
         };
-        let cells = u64::from(image.rings) * u64::from(image.columns);
-        let samples = self.scan.points.len().div_ceil(twin::SAMPLE) as u64;
-        vec![CELL_BYTES * cells, PATCH_BYTES * cells, 4 * (1 + samples)]
+        let (returns, rings) = (self.scan.points.len() as u64, u64::from(rings));
+        let cells = rings * u64::from(columns);
+        let mut bytes = vec![
+            CELL_BYTES * cells,
+            PLACE_BYTES * returns,
+            OFFER_BYTES * cells,
+            RING_BYTES * rings,
+        ];
+        if self.surface.is_some() {
+            bytes.extend([PATCH_BYTES * cells, 4 * (1 + returns.div_ceil(twin::SAMPLE as u64))]);
+        }
+        bytes
     }
 
     fn times(&self) -> &[f32] {
@@ -194,8 +197,11 @@ impl Prepared<'_> {
     }
 }
 
-/// Of `Cell` and `Patch` in the kernels.
+/// Of the kernels' structs.
 pub(crate) const CELL_BYTES: u64 = 16;
+pub(crate) const PLACE_BYTES: u64 = 8;
+pub(crate) const OFFER_BYTES: u64 = 12;
+pub(crate) const RING_BYTES: u64 = 132;
 pub(crate) const PATCH_BYTES: u64 = 32;
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use wgpu::BufferUsages as Usage;
 
 use crate::device::{Gpu, GpuError};
 
-/// Placed cells, patches, noise (`shaders/cells.wgsl`, `shaders/planes.wgsl`).
+/// Cells, places, offers, rings (`shaders/image.wgsl`); patches, noise (`shaders/planes.wgsl`).
 #[derive(Debug, Default)]
 pub(crate) struct Scratch(Vec<wgpu::Buffer>);
 
@@ -13,7 +13,7 @@ const LEAST_BYTES: u64 = 64;
 
 impl Scratch {
     /// How many there are.
-    pub(crate) const BUFFERS: usize = 3;
+    pub(crate) const BUFFERS: usize = 6;
 
     /// Makes room for a scan that needs so many bytes of each. Scans under way keep what they have.
     pub(crate) fn fit(&mut self, gpu: &Gpu, bytes: &[u64]) -> Result<(), GpuError> {
@@ -23,10 +23,21 @@ impl Scratch {
                 continue;
             }
             let room = wanted.next_power_of_two().min(gpu.binding_limit()).max(wanted);
-            let new = gpu.buffer("the image of a scan", room, Usage::STORAGE)?;
+            let new = gpu.buffer(
+                "the image of a scan",
+                room,
+                Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST,
+            )?;
             self.0.splice(k..(k + 1).min(self.0.len()), [new]);
         }
         Ok(())
+    }
+
+    /// Forgets what was counted and offered.
+    pub(crate) fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
+        self.0[2..4]
+            .iter()
+            .for_each(|buffer| encoder.clear_buffer(buffer, 0, None));
     }
 
     pub(crate) fn buffers(&self) -> &[wgpu::Buffer] {

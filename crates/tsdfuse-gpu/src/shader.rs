@@ -96,7 +96,7 @@ pub(crate) const CYLINDER: &str = include_str!("shaders/cylinder.wgsl");
 pub(crate) const ONE_LINE: &str = include_str!("shaders/one_line.wgsl");
 pub(crate) const NORMALS: &str = include_str!("shaders/normals.wgsl");
 
-pub(crate) const CELLS: &str = include_str!("shaders/cells.wgsl");
+pub(crate) const IMAGE: &str = include_str!("shaders/image.wgsl");
 pub(crate) const PLANES: &str = include_str!("shaders/planes.wgsl");
 pub(crate) const PATCH: &str = include_str!("shaders/patch.wgsl");
 pub(crate) const CARVE: &str = include_str!("shaders/carve.wgsl");

@@ -20,7 +20,7 @@ fn may_be_passed(corner_vox: vec3<f32>, voxel_size_m: f32) -> bool {
     let middle = (corner_vox + 4.0) * voxel_size_m;
     let at = seen_at(to_sensor(middle));
     let cell = cells[cell_at(at.x, at.y)];
-    return cell.i != NONE && length(cell.point) > length(middle) + BLOCK_RADIUS * voxel_size_m;
+    return is_there(cell) && length(cell.point) > length(middle) + BLOCK_RADIUS * voxel_size_m;
 }
 
 // Whether a ray passes a place and ends well behind it.
@@ -29,7 +29,7 @@ fn is_passed(center: vec3<f32>, voxel_size_m: f32) -> bool {
     for (var next = 0u; next < 2u; next++) {
         let number = cell_at(at.x, at.y + next);
         let cell = cells[number];
-        if cell.i == NONE {
+        if !is_there(cell) {
             continue;
         }
         let origin = origin_of(cell);

@@ -28,8 +28,7 @@ struct Frame {
     heavy_sum: u32,
     // Where columns beside the points begin in `returns`; 0: there is none.
     times_at: u32,
-    cells_at: u32,
-    image_at: u32,
+    rings_at: u32,
     rings: u32,
     columns: u32,
     max_range_m: f32,
@@ -41,7 +40,9 @@ struct Frame {
     noise_m: f32,
     step_m: f32,
     max_gap_m: f32,
+    // Angle between columns, and how many there are in a radian.
     column_rad: f32,
+    columns_per_rad: f32,
     gaps_at: u32,
     nearest_at: u32,
     // A camera's focal lengths, and its principal point, pixels.

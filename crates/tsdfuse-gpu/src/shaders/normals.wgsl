@@ -9,11 +9,11 @@ fn edge_to(p: vec3<f32>, ring: u32, column: u32) -> vec4<f32> {
     if ring >= frame.rings {
         return vec4(0.0);
     }
-    let i = returns[frame.image_at + ring * frame.columns + column];
-    if i == NONE || !is_valid(i) {
-        return vec4(0.0, 0.0, 0.0, select(0.0, -1.0, i != NONE));
+    let cell = cells[ring * frame.columns + column];
+    if !is_there(cell) {
+        return vec4(0.0, 0.0, 0.0, select(0.0, -1.0, cell.i == INVALID));
     }
-    return vec4(place(i).point - p, 1.0);
+    return vec4(cell.point - p, 1.0);
 }
 
 // The unit normal of a triangle; w: whether it has one.
@@ -30,18 +30,17 @@ fn similar(a: vec4<f32>, b: vec4<f32>) -> bool {
 
 // The normal towards the sensor, and how far the triangles agree (5.17); 0: there is no normal.
 fn normal_of(i: u32, p: vec3<f32>, ray: vec3<f32>) -> vec4<f32> {
-    let cell = returns[frame.cells_at + i];
+    let cell = cell_of(i);
     if cell == NONE {
         return vec4(0.0);
     }
     let ring = cell / frame.columns;
     let column = cell % frame.columns;
-    let last = frame.columns - 1u;
     // Cyclic, so that two after another span an adjacent triangle [E3]. Ring 0 less 1 is none.
     let e0 = edge_to(p, ring - 1u, column);
-    let e1 = edge_to(p, ring, select(column + 1u, 0u, column == last));
+    let e1 = edge_to(p, ring, next_column(column));
     let e2 = edge_to(p, ring + 1u, column);
-    let e3 = edge_to(p, ring, select(column - 1u, last, column == 0u));
+    let e3 = edge_to(p, ring, column_before(column));
     if e0.w * e1.w * e2.w * e3.w == 0.0 {
         return vec4(0.0); // all four must be there
     }

@@ -12,9 +12,8 @@ fn fuse_return(i: u32, thread: u32) -> u32 {
     } else if has_plane {
         let ring = cell / frame.columns;
         let column = cell % frame.columns;
-        let next = select(column + 1u, 0u, column + 1u == frame.columns);
         if thread == 2u {
-            connect(patches[cell], patches[ring * frame.columns + next]);
+            connect(patches[cell], patches[ring * frame.columns + next_column(column)]);
         } else if ring + 1u < frame.rings {
             connect(patches[cell], patches[cell + frame.columns]);
         }
@@ -60,8 +59,8 @@ fn fuse_ray(i: u32, cell: u32) -> u32 {
 fn is_alone(cell: u32) -> bool {
     let ring = cell / frame.columns;
     let column = cell % frame.columns;
-    let before = select(column - 1u, frame.columns - 1u, column == 0u);
-    let next = select(column + 1u, 0u, column + 1u == frame.columns);
+    let before = column_before(column);
+    let next = next_column(column);
     for (var r = max(ring, 1u) - 1u; r <= min(ring + 1u, frame.rings - 1u); r++) {
         let row = r * frame.columns;
         if is_plane(patches[row + before]) || is_plane(patches[row + column]) || is_plane(patches[row + next]) {

@@ -1,6 +1,11 @@
 // The plane that each return lies on, from the returns in a window about its cell: see `tsdfuse::patch`, and `constants` for what is
 // tuned there.
 
+// The tangent of the angle between a ring and the next.
+fn ring_gap(ring: u32) -> f32 {
+    return bitcast<f32>(returns[frame.gaps_at + ring]);
+}
+
 struct Patch {
     // Where the surface is, world axes relative to the anchor, metres.
     center: vec3<f32>,
@@ -10,9 +15,9 @@ struct Patch {
     normal: vec3<f32>,
 }
 
-@group(1) @binding(3) var<storage, read_write> patches: array<Patch>;
+@group(1) @binding(6) var<storage, read_write> patches: array<Patch>;
 // The standard deviation of ranges, then the squared noise that windows tell of; infinite where they tell nothing.
-@group(1) @binding(4) var<storage, read_write> noise: array<u32>;
+@group(1) @binding(7) var<storage, read_write> noise: array<u32>;
 
 const INFINITE: u32 = 0x7f800000u;
 
@@ -68,14 +73,14 @@ fn plane_of(window: Window, middle: vec3<f32>) -> Plane {
         var column = left;
         for (var n = 0u; n <= window.reach.z + window.reach.w; n++) {
             let cell = cells[ring * frame.columns + column];
-            if cell.i != NONE {
+            if is_there(cell) {
                 let p = cell.point - middle;
                 count += 1.0;
                 sum += p;
                 squares += p * p;
                 products += p.xxy * p.yzz;
             }
-            column = select(column + 1u, 0u, column + 1u == frame.columns);
+            column = next_column(column);
         }
     }
     let inverse = 1.0 / max(count, 1.0);
@@ -154,7 +159,7 @@ fn sample_noise(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
     for (var n = id.x; n * SAMPLE < frame.total; n += 64u * groups.x) {
         noise[n + 1u] = INFINITE;
         let i = cell_of(n * SAMPLE);
-        if i == NONE || cells[i].i == NONE {
+        if i == NONE || !is_there(cells[i]) {
             continue;
         }
         let point = cells[i].point;
@@ -222,7 +227,7 @@ fn choose_noise(@builtin(local_invocation_index) lane: u32) {
 fn find_planes(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < frame.rings * frame.columns; i += 64u * groups.x) {
         let cell = cells[i];
-        if cell.i == NONE {
+        if !is_there(cell) {
             patches[i].normal = vec3(0.0);
             continue;
         }
