@@ -213,29 +213,41 @@ impl Fuser {
             self.scratch.clear(&mut encoder);
         }
         encoder.clear_buffer(self.map.state(), Header::SCAN, Some(Header::BYTES - Header::SCAN));
-        let mut dispatch = |kernel: &Kernel, (offset, frame): (u32, &Frame)| {
-            let mut pass = gpu.pass(&mut encoder, kernel.step.name);
+        let record = |pass: &mut wgpu::ComputePass<'_>, kernel: &Kernel, (offset, frame): (u32, &Frame)| {
             pass.set_bind_group(0, &self.map.bind_group, &[]);
             pass.set_bind_group(1, &flight.bind_group, &[offset]);
             pass.set_pipeline(&kernel.pipeline);
             pass.dispatch_workgroups(kernel.step.work.workgroups(frame, self.map.capacity()), 1, 1);
         };
-        let pieces = || (0..).step_by(FRAME_STRIDE as usize).zip(&flight.frames);
-        for piece in pieces().take(1) {
-            self.before.iter().for_each(|kernel| dispatch(kernel, piece));
-        }
-        for piece in pieces() {
-            if piece.1.mode == FUSE {
-                dispatch(&self.fuse, piece);
-                dispatch(&self.limit_weights, piece);
-            } else {
-                dispatch(&self.allocate, piece);
+        if gpu.is_timed() {
+            for (kernel, piece) in self.in_order(&flight.frames) {
+                record(&mut gpu.pass(&mut encoder, kernel.step.name), kernel, piece);
             }
-        }
-        for piece in pieces().take(1) {
-            self.after.iter().for_each(|kernel| dispatch(kernel, piece));
+        } else {
+            // Recorded faster than a pass for each; kernels wait for the one before all the same.
+            let mut pass = gpu.pass(&mut encoder, "a scan");
+            self.in_order(&flight.frames)
+                .for_each(|(kernel, piece)| record(&mut pass, kernel, piece));
         }
         flight.submit(gpu, encoder, self.map.state(), is_first);
+    }
+
+    /// The kernels of a scan, each with its frame and where that begins.
+    fn in_order<'a>(&'a self, frames: &'a [Frame]) -> impl Iterator<Item = (&'a Kernel, (u32, &'a Frame))> {
+        let pieces = (0..).step_by(FRAME_STRIDE as usize).zip(frames);
+        let once = |kernels: &'a [Kernel]| {
+            kernels
+                .iter()
+                .zip(frames.first().map(|frame| (0, frame)).into_iter().cycle())
+        };
+        let each = pieces.flat_map(|piece| {
+            let (first, second) = match piece.1.mode {
+                FUSE => (&self.fuse, Some(&self.limit_weights)),
+                _ => (&self.allocate, None),
+            };
+            std::iter::once(first).chain(second).map(move |kernel| (kernel, piece))
+        });
+        once(&self.before).chain(each).chain(once(&self.after))
     }
 
     /// Waits for the oldest scan. If there was no room for it, makes some and repeats all scans since.
