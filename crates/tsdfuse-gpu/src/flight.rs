@@ -10,6 +10,7 @@ use wgpu::BufferUsages as Usage;
 use crate::device::{Gpu, GpuError};
 use crate::frame::Frame;
 use crate::map::Header;
+use crate::scratch::Scratch;
 
 /// The buffers of one scan, kept from scan to scan.
 #[derive(Debug)]
@@ -22,6 +23,7 @@ pub(crate) struct Flight {
     /// What was counted, on the device's side of the bus and on ours.
     counts: wgpu::Buffer,
     pub(crate) bind_group: wgpu::BindGroup,
+    pub(crate) scratch: Scratch,
     /// Where the returns begin in `data`, and where they end.
     bytes: u64,
     /// Where each dispatch finds its frame.
@@ -38,7 +40,7 @@ pub(crate) struct Parcel<'a> {
     /// The columns of its returns.
     pub(crate) columns: &'a [&'a [u8]],
     /// What its kernels leave to each other.
-    pub(crate) scratch: &'a [wgpu::Buffer],
+    pub(crate) scratch: &'a Scratch,
 }
 
 /// Frames are this far apart: what all devices can bind.
@@ -102,14 +104,15 @@ impl Flight {
         };
         let frame = part(0, size_of::<Frame>() as u64);
         let scan = [frame, part(returns_at, bytes - returns_at)];
-        let scratch = scratch.iter().map(wgpu::Buffer::as_entire_binding);
-        let bind_group = gpu.bind(layout, scan.into_iter().chain(scratch));
+        let left = scratch.buffers().iter().map(wgpu::Buffer::as_entire_binding);
+        let bind_group = gpu.bind(layout, scan.into_iter().chain(left));
         Ok(Self {
             name: name.to_owned(),
             staging,
             data,
             counts,
             bind_group,
+            scratch: scratch.clone(),
             bytes,
             frames,
             pending: Arc::default(),

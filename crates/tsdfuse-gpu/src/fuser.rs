@@ -157,7 +157,7 @@ impl Fuser {
         let parcel = Parcel {
             name: &scan.name,
             columns: &prepared.columns(),
-            scratch: self.scratch.buffers(),
+            scratch: &self.scratch,
         };
         let integrations = if frames.is_empty() { before } else { next };
         let mut flight = Flight::load(self.idle.pop(), gpu, &self.layout, frames, &parcel)?;
@@ -210,7 +210,7 @@ impl Fuser {
             flight.upload(&mut encoder);
         }
         if !self.before.is_empty() {
-            self.scratch.clear(&mut encoder);
+            flight.scratch.clear(&mut encoder);
         }
         encoder.clear_buffer(self.map.state(), Header::SCAN, Some(Header::BYTES - Header::SCAN));
         let record = |pass: &mut wgpu::ComputePass<'_>, kernel: &Kernel, (offset, frame): (u32, &Frame)| {

@@ -5,7 +5,7 @@ use wgpu::BufferUsages as Usage;
 use crate::device::{Gpu, GpuError};
 
 /// Cells, places, offers, rings (`shaders/image.wgsl`); patches, noise (`shaders/planes.wgsl`).
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Scratch(Vec<wgpu::Buffer>);
 
 /// What kernels bind where a method needs none.
@@ -15,7 +15,7 @@ impl Scratch {
     /// How many there are.
     pub(crate) const BUFFERS: usize = 6;
 
-    /// Makes room for a scan that needs so many bytes of each. Scans under way keep what they have.
+    /// Makes room for a scan that needs so many bytes of each. Scans under way keep those that they have a clone of.
     pub(crate) fn fit(&mut self, gpu: &Gpu, bytes: &[u64]) -> Result<(), GpuError> {
         for k in 0..Self::BUFFERS {
             let wanted = bytes.get(k).copied().unwrap_or(0).max(LEAST_BYTES);

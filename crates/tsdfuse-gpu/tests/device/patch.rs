@@ -167,6 +167,16 @@ fn the_same_bits_however_often_the_map_grew_and_whoever_began_it() {
 }
 
 #[test]
+fn scans_that_are_repeated_have_images_of_their_own() {
+    let Some(gpu) = gpu() else { return };
+    // Without beams, images are as large as clouds; each of these needs larger buffers, and room in the map.
+    let scans: Vec<Scan> = (0..3).map(|n| scan(n, 1000 << (2 * n))).collect();
+    let run = |pool| on_gpu(&scans, Method::Patch, &FuseConfig::default(), new_map(gpu, pool), None);
+    let (large, small) = (run(POOL), run(SMALL));
+    assert!(large.0 == small.0 && large.1 == small.1);
+}
+
+#[test]
 fn empty_scans_and_invalid_returns_do_no_harm() {
     let Some(gpu) = gpu() else { return };
     let (mut scans, sensor) = screen(1);
