@@ -55,19 +55,18 @@ fn fuse_ray(i: u32, cell: u32) -> u32 {
     return ray.outcome;
 }
 
-// Whether none of the cells around has a plane.
+// Whether neither a cell nor those around have planes, but for MAX_BESIDE.
 fn is_alone(cell: u32) -> bool {
     let ring = cell / frame.columns;
     let column = cell % frame.columns;
-    let before = column_before(column);
-    let next = next_column(column);
+    let columns = vec3(column_before(column), column, next_column(column));
+    var planes = 0u;
     for (var r = max(ring, 1u) - 1u; r <= min(ring + 1u, frame.rings - 1u); r++) {
-        let row = r * frame.columns;
-        if is_plane(patches[row + before]) || is_plane(patches[row + column]) || is_plane(patches[row + next]) {
-            return false;
+        for (var k = 0u; k < 3u; k++) {
+            planes += u32(is_plane(patches[r * frame.columns + columns[k]]));
         }
     }
-    return true;
+    return planes <= MAX_BESIDE;
 }
 
 // Fuses what lies between two patches, if they are of one surface.

@@ -66,7 +66,7 @@ pub const MIN_SPREAD: f32 = 2.0;
 pub const MIN_COSINE: f32 = 0.03;
 
 /// A return without a plane stands alone if at most this many of the eight beside it have one.
-const MAX_BESIDE: usize = 2;
+pub const MAX_BESIDE: usize = 2;
 
 /// Fewer returns make no plane that could be told from their noise.
 pub const MIN_RETURNS: f32 = 5.0;
