@@ -68,15 +68,22 @@ pub(crate) trait OnDevice {
     /// The map, with all scans that were settled.
     fn map(&self) -> Result<VoxelMap>;
     /// Its mesh.
-    fn mesh(&self, config: &MeshConfig) -> Result<Mesh>;
+    fn mesh(&mut self, config: &MeshConfig) -> Result<Mesh>;
+    /// What looks at it.
+    fn viewer<'a>(&'a self, config: &RenderConfig) -> Result<See<'a>>;
 }
 
 impl Device {
-    /// Opens the device; `None` for the CPU.
-    pub(crate) fn open(&self, config: &RunConfig, sensor: Option<&SensorModel>) -> Result<Option<Box<dyn OnDevice>>> {
+    /// Opens the device, to continue a map there; `None` for the CPU.
+    pub(crate) fn open(
+        &self,
+        map: &VoxelMap,
+        config: &RunConfig,
+        sensor: Option<&SensorModel>,
+    ) -> Result<Option<Box<dyn OnDevice>>> {
         match self {
             Self::Cpu => Ok(None),
-            Self::Gpu(name) => gpu::open(name.as_deref(), config, sensor).map(Some),
+            Self::Gpu(name) => gpu::open(name.as_deref(), map, config, sensor).map(Some),
         }
     }
 

@@ -80,7 +80,7 @@ fn run_from(args: &Args, resumed: Option<Resumed>) -> Result<Outcome> {
     }
     let indices = indices.split_off(fusion.done().min(indices.len()));
     fusion.growing = args.growing(&config.mesh, &fusion.map);
-    fusion.device = args.device.open(&config, suggested.sensor.as_ref())?;
+    fusion.device = args.device.open(&fusion.map, &config, suggested.sensor.as_ref())?;
     let device = fusion.device.as_ref().map(|device| device.name());
     let fusing = Instant::now();
     fusion.fuse_all(&dataset, indices)?;
@@ -90,7 +90,7 @@ fn run_from(args: &Args, resumed: Option<Resumed>) -> Result<Outcome> {
     let saved_map = args.save_map.as_deref().map(|path| fusion.save(path)).transpose()?;
     let extract = |path| fusion.surface(&config.mesh, path);
     let mesh = args.output.as_deref().map(extract).transpose()?;
-    let picture = |path| preview(&fusion.map, config.mesh.min_weight, path);
+    let picture = |path| preview(&fusion.map, fusion.device.as_deref(), config.mesh.min_weight, path);
     let preview = args.preview.as_deref().map(picture).transpose()?;
 
     let report = Report {
@@ -224,9 +224,7 @@ impl Fusion {
             match self.fuse(read, wait, &ahead) {
                 Ok((scan, updated)) => {
                     self.scans.push(scan);
-                    if let Some(growing) = &mut self.growing {
-                        growing.follow(&self.map, &updated)?;
-                    }
+                    self.follow(&updated)?;
                 }
                 Err(error) if self.skip_bad => self.skip(&dataset.scans()[index].name, one_line(&error), &bar),
                 Err(error) => return Err(error),
@@ -295,6 +293,23 @@ impl Fusion {
             updated_blocks: done.updated_blocks.len(),
         };
         Ok((scan, done.updated_blocks))
+    }
+
+    /// Keeps the mesh file up to date, if there is one; a device that fuses is waited for.
+    fn follow(&mut self, updated: &[BlockIndex]) -> Result<()> {
+        let Some(growing) = &mut self.growing else {
+            return Ok(());
+        };
+        let mut settled = Vec::new();
+        let followed = growing.follow(updated, |surface, config| match &mut self.device {
+            None => Ok(surface.mesh(&self.map)?),
+            Some(device) => {
+                settled = device.finish()?;
+                device.mesh(config)
+            }
+        });
+        self.settle(settled);
+        followed
     }
 
     /// Lets a method that collects scans fuse them.
@@ -384,7 +399,7 @@ impl Fusion {
 
     /// Extracts the surface, which must not be empty, and writes it.
     pub(crate) fn surface(&mut self, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
-        match (&mut self.paging, &self.device) {
+        match (&mut self.paging, &mut self.device) {
             (Some(paging), _) => paging.surface(&mut self.map, config, path),
             (None, Some(device)) => surface_by(|| device.mesh(config), &self.map, config, path),
             (None, None) => surface(&self.map, config, path),

@@ -14,7 +14,7 @@ use tsdfuse::render::{Camera, ImageKind, RenderConfig, Renderer};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Pose, SensorModel, VoxelMap};
 
-use crate::device::{Device, See};
+use crate::device::{Device, OnDevice, See};
 use crate::exit::{Outcome, Usage};
 use crate::output;
 use crate::progress::{self, note, say};
@@ -184,8 +184,13 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     Ok(Outcome::Complete)
 }
 
-/// Writes an overview of a map.
-pub(crate) fn preview(map: &VoxelMap, min_weight: f32, path: &Path) -> Result<ViewReport> {
+/// Writes an overview of a map, which the device still has, if one fused it.
+pub(crate) fn preview(
+    map: &VoxelMap,
+    device: Option<&dyn OnDevice>,
+    min_weight: f32,
+    path: &Path,
+) -> Result<ViewReport> {
     let _spinner = progress::working("rendering");
     let config = RenderConfig {
         min_weight,
@@ -196,7 +201,10 @@ pub(crate) fn preview(map: &VoxelMap, min_weight: f32, path: &Path) -> Result<Vi
     let pose = Look::Overview.poses(&renderer, &camera);
     let pose = pose.first().context("the map has no surface")?;
     let file = (ImageKind::Shaded, path.to_owned());
-    let mut see = Device::Cpu.viewer(&renderer, &config)?;
+    let mut see = match device {
+        Some(device) => device.viewer(&config)?,
+        None => Device::Cpu.viewer(&renderer, &config)?,
+    };
     ViewReport::make(&mut see, &Camera::Pinhole(camera), *pose, &[file])
 }
 

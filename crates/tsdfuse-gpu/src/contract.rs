@@ -7,14 +7,21 @@ use naga::{
     Module, TypeInner,
     valid::{Capabilities, ValidationFlags, Validator},
 };
-use tsdfuse::{fuse::FuseConfig, fuse::Method, index::BLOCK_VOXELS, map::WEIGHT_SCALE, sensor::approx::acos_f32};
+use tsdfuse::{
+    fuse::{FuseConfig, Method, twin},
+    index::BLOCK_VOXELS,
+    map::WEIGHT_SCALE,
+    sensor::approx::{acos_f32, atan2_f32},
+};
 
 use crate::{
+    constants::CONSTANTS,
     frame::{ALLOCATE, FUSE, Frame},
     map::{Header, POOL_FULL},
     method::{METHODS, Prepare},
+    prepared::{CELL_BYTES, OFFER_BYTES, PATCH_BYTES, PLACE_BYTES, RING_BYTES},
     render,
-    shader::{FIND_SURFACE, FRAME, KEEP, LINES, NORMALS, Paging, RENDER, SURFACE, WRITE_MESH, source},
+    shader::{ANGLES, FIND_SURFACE, FRAME, KEEP, LINES, Paging, RENDER, SURFACE, WRITE_MESH, source},
     surface::Params,
 };
 
@@ -81,8 +88,8 @@ macro_rules! layout {
 
 fn frame_layout() -> Vec<(String, usize)> {
     layout!(Frame: world_x mode world_y first world_z count anchor_voxel stamp anchor_fraction voxels_per_m turn_axis
-        turn_rate velocity truncation_vox max_weight_sum heavy_sum times_at cells_at image_at rings columns max_range_m min_dot
-        camera)
+        turn_rate velocity truncation_vox max_weight_sum heavy_sum times_at rings_at rings columns max_range_m min_dot
+        total window_m noise_m step_m max_gap_m column_rad columns_per_rad gaps_at nearest_at camera)
 }
 
 #[test]
@@ -170,26 +177,67 @@ fn methods_that_do_not_run_there_are_refused_by_name() {
     }
 }
 
-#[test]
-fn the_arc_cosine_is_the_cpus() {
-    let list = NORMALS
-        .split("ACOS = array(")
-        .nth(1)
-        .and_then(|rest| rest.split(')').next())
-        .unwrap();
-    let numbers = list.split(',').map(str::trim).filter(|number| !number.is_empty());
-    let coefficients: Vec<f32> = numbers.map(|number| number.parse().unwrap()).collect();
-    let differing = |coefficients: &[f32]| {
-        let arc_cosine = |x: f32| {
-            let a = x.abs();
-            let angle = (1.0 - a).sqrt() * coefficients.iter().rev().fold(0.0, |sum, c| sum * a + c);
-            if x < 0.0 { std::f32::consts::PI - angle } else { angle }
-        };
-        let places = (-1000..=1000).map(|i| i as f32 * 1e-3);
-        places.filter(|&x| arc_cosine(x) != acos_f32(x)).count()
-    };
+/// The numbers of an array in the source of angles.
+fn coefficients(name: &str) -> Vec<f32> {
+    let list = ANGLES.split(&format!("const {name} = array(")).nth(1);
+    let numbers = list.and_then(|rest| rest.split(')').next()).unwrap().split(',');
+    let numbers = numbers.map(str::trim).filter(|number| !number.is_empty());
+    numbers.map(|number| number.parse().unwrap()).collect()
+}
+
+fn polynomial(coefficients: &[f32], x: f32) -> f32 {
+    coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c)
+}
+
+/// Asserts that a function of these coefficients is the CPU's, and that another one would not be.
+fn assert_same(mut coefficients: Vec<f32>, function: impl Fn(&[f32], f32) -> f32, of_cpu: impl Fn(f32) -> f32) {
+    let places = || (-1000..=1000).map(|i| i as f32 * 1e-3);
+    let differing = |c: &[f32]| places().filter(|&x| function(c, x) != of_cpu(x)).count();
     assert_eq!(differing(&coefficients), 0);
-    let mut off = coefficients;
-    off[3] += 1e-6;
-    assert!(differing(&off) > 100);
+    coefficients[3] += 1e-6;
+    assert!(differing(&coefficients) > 100);
+}
+
+#[test]
+fn angles_are_the_cpus() {
+    let arc_cosine = |c: &[f32], x: f32| {
+        let angle = (1.0 - x.abs()).sqrt() * polynomial(c, x.abs());
+        if x < 0.0 { std::f32::consts::PI - angle } else { angle }
+    };
+    assert_same(coefficients("ACOS"), arc_cosine, acos_f32);
+    let arc_tangent = |c: &[f32], x: f32| x * polynomial(c, x * x);
+    assert_same(coefficients("ATAN"), arc_tangent, |x| atan2_f32(x, 1.0));
+}
+
+#[test]
+fn what_is_tuned_on_the_cpu_is_tuned_here() {
+    let source = CONSTANTS.as_str();
+    for (name, value) in [
+        ("FRONT", twin::FRONT),
+        ("MAX_OFF_BETWEEN", twin::MAX_OFF_BETWEEN),
+        ("MOST_NOISE_M", twin::NOISE_M[1]),
+        ("TURNS_UPDATED", twin::TURNS[1] as f32),
+        ("MAX_COLUMNS", twin::MAX_COLUMNS as f32),
+    ] {
+        assert_eq!(constant(source, name) as f32, value, "{name}");
+    }
+}
+
+#[test]
+fn what_kernels_leave_to_each_other_has_one_size() {
+    let (_, kernels) = Prepare::new(Method::Patch, &FuseConfig::default(), None).unwrap();
+    let module = parse(&source(PAGING, &kernels.parts));
+    for (name, bytes) in [
+        ("Cell", CELL_BYTES),
+        ("Place", PLACE_BYTES),
+        ("Offer", OFFER_BYTES),
+        ("Ring", RING_BYTES),
+        ("Patch", PATCH_BYTES),
+    ] {
+        let found = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name));
+        let Some(TypeInner::Struct { span, .. }) = found.map(|(_, t)| &t.inner) else {
+            panic!("there is no struct {name}");
+        };
+        assert_eq!(u64::from(*span), bytes, "{name}");
+    }
 }

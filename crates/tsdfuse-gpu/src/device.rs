@@ -277,13 +277,13 @@ fn one_line(text: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::{DeviceMap, Fuser, PoolConfig};
     use tsdfuse::{MapConfig, Scan, fuse::Method, glam::Vec3};
 
     /// A device of its own for each test; `None` where there is none and none is required.
-    fn gpu() -> Option<Gpu> {
+    pub(crate) fn gpu() -> Option<Gpu> {
         let gpu = Gpu::open(None);
         assert!(
             gpu.is_ok() || std::env::var_os("TSDFUSE_REQUIRE_GPU").is_none(),

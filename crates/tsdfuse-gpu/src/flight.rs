@@ -10,6 +10,7 @@ use wgpu::BufferUsages as Usage;
 use crate::device::{Gpu, GpuError};
 use crate::frame::Frame;
 use crate::map::Header;
+use crate::scratch::Scratch;
 
 /// The buffers of one scan, kept from scan to scan.
 #[derive(Debug)]
@@ -22,6 +23,7 @@ pub(crate) struct Flight {
     /// What was counted, on the device's side of the bus and on ours.
     counts: wgpu::Buffer,
     pub(crate) bind_group: wgpu::BindGroup,
+    pub(crate) scratch: Scratch,
     /// Where the returns begin in `data`, and where they end.
     bytes: u64,
     /// Where each dispatch finds its frame.
@@ -31,23 +33,33 @@ pub(crate) struct Flight {
     submission: Option<wgpu::SubmissionIndex>,
 }
 
+/// What a scan brings along.
+#[derive(Clone, Copy)]
+pub(crate) struct Parcel<'a> {
+    pub(crate) name: &'a str,
+    /// The columns of its returns.
+    pub(crate) columns: &'a [&'a [u8]],
+    /// What its kernels leave to each other.
+    pub(crate) scratch: &'a Scratch,
+}
+
 /// Frames are this far apart: what all devices can bind.
 pub(crate) const FRAME_STRIDE: u64 = 256;
 const _: () = assert!(size_of::<Frame>() as u64 <= FRAME_STRIDE);
 
 impl Flight {
-    /// Takes a scan: its frames, one for each dispatch, and the columns of its returns. `self`'s buffers are used if they are
-    /// large enough.
+    /// Takes a scan and its frames, one for each dispatch. The old one's buffers are used if they are large enough.
     pub(crate) fn load(
         old: Option<Self>,
         gpu: &Gpu,
         layout: &wgpu::BindGroupLayout,
-        name: &str,
         frames: Vec<Frame>,
-        columns: &[&[u8]],
+        parcel: &Parcel<'_>,
     ) -> Result<Self, GpuError> {
+        let Parcel { name, columns, scratch } = *parcel;
         let returns_at = FRAME_STRIDE * frames.len().max(1) as u64;
-        let returns: u64 = columns.iter().map(|c| c.len() as u64).sum();
+        // Whole words.
+        let returns = columns.iter().map(|c| c.len() as u64).sum::<u64>().next_multiple_of(4);
         let bytes = returns_at + returns.max(4);
         if bytes > gpu.binding_limit() {
             return Err(GpuError::TooLarge {
@@ -91,13 +103,16 @@ impl Flight {
             })
         };
         let frame = part(0, size_of::<Frame>() as u64);
-        let bind_group = gpu.bind(layout, [frame, part(returns_at, bytes - returns_at)]);
+        let scan = [frame, part(returns_at, bytes - returns_at)];
+        let left = scratch.buffers().iter().map(wgpu::Buffer::as_entire_binding);
+        let bind_group = gpu.bind(layout, scan.into_iter().chain(left));
         Ok(Self {
             name: name.to_owned(),
             staging,
             data,
             counts,
             bind_group,
+            scratch: scratch.clone(),
             bytes,
             frames,
             pending: Arc::default(),

@@ -1,6 +1,7 @@
 //! Fusing scans on the device, several in flight.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 
 use tsdfuse::{
     Scan, SensorModel, VoxelMap,
@@ -9,10 +10,13 @@ use tsdfuse::{
 };
 
 use crate::device::GpuError;
-use crate::flight::{FRAME_STRIDE, Flight};
+use crate::flight::{FRAME_STRIDE, Flight, Parcel};
 use crate::frame::{ALLOCATE, FUSE, Frame};
+use crate::kernels::{LIMIT_WEIGHTS, Step, WORKGROUP, Work};
 use crate::map::{DeviceMap, Header};
-use crate::method::{Prepare, Prepared};
+use crate::method::Prepare;
+use crate::prepared::{Prepared, pieces};
+use crate::scratch::Scratch;
 use crate::shader::{Binding, FRAME, KEEP, source};
 
 /// What became of a scan.
@@ -35,28 +39,43 @@ pub struct Fused {
 pub struct Fuser {
     map: DeviceMap,
     prepare: Prepare,
-    allocate: wgpu::ComputePipeline,
-    fuse: wgpu::ComputePipeline,
-    /// Whether `fuse` has a workgroup for each block, not a thread for each return.
-    by_block: bool,
-    limit_weights: wgpu::ComputePipeline,
+    /// Once a scan; for each piece of it; and once more.
+    before: Vec<Kernel>,
+    allocate: Kernel,
+    fuse: Kernel,
+    limit_weights: Kernel,
+    after: Vec<Kernel>,
     layout: wgpu::BindGroupLayout,
-    /// Sent, the oldest first, with what the CPU left out.
-    flights: VecDeque<(Flight, Skipped)>,
+    scratch: Scratch,
+    /// Sent, the oldest first.
+    flights: VecDeque<Sent>,
     idle: Vec<Flight>,
     /// To be reported.
     done: Vec<Fused>,
-    scans: u32,
+}
+
+/// A kernel, compiled.
+#[derive(Debug)]
+struct Kernel {
+    step: Step,
+    pipeline: wgpu::ComputePipeline,
+}
+
+/// A scan that is under way.
+#[derive(Debug)]
+struct Sent {
+    flight: Flight,
+    /// What the CPU left out.
+    skipped: Skipped,
+    /// The number of scans with it.
+    integrations: u32,
 }
 
 /// Scans that are under way at most.
 const IN_FLIGHT: usize = 4;
 
-/// Returns that one dispatch takes at most: 65 535 workgroups, which every device can do.
-const MOST_RETURNS: usize = 65_535 * WORKGROUP as usize;
-
-/// Threads in a workgroup.
-const WORKGROUP: u32 = 64;
+/// Returns that one dispatch takes at most: 65 535 workgroups, which every device can do, for three threads a return.
+const MOST_RETURNS: usize = 21_845 * WORKGROUP as usize;
 
 /// A voxel's sums fit 32 bits if its weight stays below this.
 const MOST_WEIGHT: f32 = 65_535.0;
@@ -75,27 +94,41 @@ impl Fuser {
         config.validate()?;
         let (prepare, kernels) = Prepare::new(method, config, sensor)?;
         let gpu = &map.gpu;
-        let layout = gpu.layout([Binding::Uniform(size_of::<Frame>() as u64), Binding::Read]);
+        let scan = [Binding::Uniform(size_of::<Frame>() as u64), Binding::Read];
+        let scratch = Scratch::default();
+        let layout = gpu.layout(scan.into_iter().chain([Binding::Storage; Scratch::BUFFERS]));
         let groups = [&map.layout, &layout];
         let text = source(map.paging, &kernels.parts);
-        let allocate = gpu.kernel(&text, kernels.allocate, &groups);
-        let fuse = match kernels.fuse == kernels.allocate {
-            true => allocate.clone(),
-            false => gpu.kernel(&text, kernels.fuse, &groups),
+        let kernel = |&step: &Step| Kernel {
+            step,
+            pipeline: gpu.kernel(&text, step.entry, &groups),
         };
-        let limit_weights = gpu.kernel(&source(map.paging, &[FRAME, KEEP]), "limit_weights", &groups);
+        let allocate = kernel(&kernels.allocate);
+        let fuse = match kernels.fuse.entry == kernels.allocate.entry {
+            true => Kernel {
+                step: kernels.fuse,
+                pipeline: allocate.pipeline.clone(),
+            },
+            false => kernel(&kernels.fuse),
+        };
+        let limit_weights = Kernel {
+            step: LIMIT_WEIGHTS,
+            pipeline: gpu.kernel(&source(map.paging, &[FRAME, KEEP]), LIMIT_WEIGHTS.entry, &groups),
+        };
+        let [before, after] = [&kernels.before, &kernels.after].map(|steps| steps.iter().map(kernel).collect());
         gpu.check()?;
         Ok(Self {
             prepare,
+            before,
             allocate,
             fuse,
-            by_block: kernels.by_block,
             limit_weights,
+            after,
             layout,
+            scratch,
             flights: VecDeque::new(),
             idle: Vec::new(),
             done: Vec::new(),
-            scans: 0,
             map,
         })
     }
@@ -111,14 +144,30 @@ impl Fuser {
         while self.flights.len() >= IN_FLIGHT {
             self.finish_one()?;
         }
-        self.scans = self.scans.wrapping_add(1).max(1);
+        let before = self
+            .flights
+            .back()
+            .map_or(self.map.integrations, |sent| sent.integrations);
         let prepared = self.prepare.prepare(scan)?;
-        let frames = frames(&prepared, &self.map.empty, self.scans, self.by_block)?;
-        let (old, gpu) = (self.idle.pop(), &self.map.gpu);
-        let mut flight = Flight::load(old, gpu, &self.layout, &scan.name, frames, &prepared.columns())?;
+        let next = before.wrapping_add(1).max(1);
+        let by_block = self.fuse.step.work == Work::Blocks;
+        let frames = frames(&prepared, &self.map.empty, next, by_block)?;
+        let gpu = &self.map.gpu;
+        self.scratch.fit(gpu, &prepared.scratch())?;
+        let parcel = Parcel {
+            name: &scan.name,
+            columns: &prepared.columns(),
+            scratch: &self.scratch,
+        };
+        let integrations = if frames.is_empty() { before } else { next };
+        let mut flight = Flight::load(self.idle.pop(), gpu, &self.layout, frames, &parcel)?;
         let skipped = prepared.skipped;
         self.send(&mut flight, true);
-        self.flights.push_back((flight, skipped));
+        self.flights.push_back(Sent {
+            flight,
+            skipped,
+            integrations,
+        });
         Ok(std::mem::take(&mut self.done))
     }
 
@@ -147,6 +196,12 @@ impl Fuser {
         Ok(self.map)
     }
 
+    /// What kernels leave to each other.
+    #[cfg(test)]
+    pub(crate) fn scratch(&self) -> &[wgpu::Buffer] {
+        self.scratch.buffers()
+    }
+
     /// Sends a scan's kernels; its returns only the first time.
     fn send(&self, flight: &mut Flight, is_first: bool) {
         let gpu = &self.map.gpu;
@@ -154,57 +209,79 @@ impl Fuser {
         if is_first {
             flight.upload(&mut encoder);
         }
+        if !self.before.is_empty() {
+            flight.scratch.clear(&mut encoder);
+        }
         encoder.clear_buffer(self.map.state(), Header::SCAN, Some(Header::BYTES - Header::SCAN));
-        for (offset, frame) in (0..).step_by(FRAME_STRIDE as usize).zip(&flight.frames) {
-            let mut dispatch = |name, kernel, workgroups| {
-                let mut pass = gpu.pass(&mut encoder, name);
-                pass.set_bind_group(0, &self.map.bind_group, &[]);
-                pass.set_bind_group(1, &flight.bind_group, &[offset]);
-                pass.set_pipeline(kernel);
-                pass.dispatch_workgroups(workgroups, 1, 1);
-            };
-            let workgroups = frame.count.div_ceil(WORKGROUP);
-            if frame.mode == FUSE {
-                let by_block = self.map.capacity().min(BY_BLOCK);
-                dispatch("fuse", &self.fuse, if self.by_block { by_block } else { workgroups });
-                dispatch("limit_weights", &self.limit_weights, self.map.capacity().min(BY_BLOCK));
-            } else {
-                dispatch("allocate", &self.allocate, workgroups);
+        let record = |pass: &mut wgpu::ComputePass<'_>, kernel: &Kernel, (offset, frame): (u32, &Frame)| {
+            pass.set_bind_group(0, &self.map.bind_group, &[]);
+            pass.set_bind_group(1, &flight.bind_group, &[offset]);
+            pass.set_pipeline(&kernel.pipeline);
+            pass.dispatch_workgroups(kernel.step.work.workgroups(frame, self.map.capacity()), 1, 1);
+        };
+        if gpu.is_timed() {
+            for (kernel, piece) in self.in_order(&flight.frames) {
+                record(&mut gpu.pass(&mut encoder, kernel.step.name), kernel, piece);
             }
+        } else {
+            // Recorded faster than a pass for each; kernels wait for the one before all the same.
+            let mut pass = gpu.pass(&mut encoder, "a scan");
+            self.in_order(&flight.frames)
+                .for_each(|(kernel, piece)| record(&mut pass, kernel, piece));
         }
         flight.submit(gpu, encoder, self.map.state(), is_first);
     }
 
+    /// The kernels of a scan, each with its frame and where that begins.
+    fn in_order<'a>(&'a self, frames: &'a [Frame]) -> impl Iterator<Item = (&'a Kernel, (u32, &'a Frame))> {
+        let pieces = (0..).step_by(FRAME_STRIDE as usize).zip(frames);
+        let once = |kernels: &'a [Kernel]| {
+            kernels
+                .iter()
+                .zip(frames.first().map(|frame| (0, frame)).into_iter().cycle())
+        };
+        let each = pieces.flat_map(|piece| {
+            let (first, second) = match piece.1.mode {
+                FUSE => (&self.fuse, Some(&self.limit_weights)),
+                _ => (&self.allocate, None),
+            };
+            std::iter::once(first).chain(second).map(move |kernel| (kernel, piece))
+        });
+        once(&self.before).chain(each).chain(once(&self.after))
+    }
+
     /// Waits for the oldest scan. If there was no room for it, makes some and repeats all scans since.
     fn finish_one(&mut self) -> Result<(), GpuError> {
-        while let Some((flight, _)) = self.flights.front() {
-            let header = flight.wait(&self.map.gpu)?;
+        while let Some(first) = self.flights.front() {
+            let header = first.flight.wait(&self.map.gpu)?;
             if header.flags == 0 {
                 return self.report(header);
             }
-            for (later, _) in self.flights.iter().skip(1) {
-                later.wait(&self.map.gpu)?;
+            for later in self.flights.iter().skip(1) {
+                later.flight.wait(&self.map.gpu)?;
             }
             if let Err(error) = self.map.make_room(header) {
                 self.flights.clear();
                 return Err(error);
             }
             let mut flights = std::mem::take(&mut self.flights);
-            flights.iter_mut().for_each(|(flight, _)| self.send(flight, false));
+            flights.iter_mut().for_each(|sent| self.send(&mut sent.flight, false));
             self.flights = flights;
         }
         Ok(())
     }
 
     fn report(&mut self, header: Header) -> Result<(), GpuError> {
-        let Some((flight, mut skipped)) = self.flights.pop_front() else {
+        let Some(sent) = self.flights.pop_front() else {
             return Ok(());
         };
+        self.map.integrations = sent.integrations;
+        let mut skipped = sent.skipped;
         skipped.outside_grid += u64::from(header.outside_grid);
         skipped.without_normal += u64::from(header.without_normal);
         skipped.without_weight += u64::from(header.without_weight);
-        let name = flight.name.clone();
-        self.idle.push(flight);
+        let name = sent.flight.name.clone();
+        self.idle.push(sent.flight);
         if header.lost > 0 {
             let lost = header.lost;
             let why = format!("{name}: {lost} updates found no block, since two runs of one kernel differ");
@@ -222,30 +299,29 @@ impl Fuser {
 
 /// What each dispatch is told: first those that make blocks, then those that update.
 fn frames(prepared: &Prepared<'_>, map: &VoxelMap, stamp: u32, by_block: bool) -> Result<Vec<Frame>, GpuError> {
-    let (all, weight) = (prepared.items, prepared.weight);
+    let (all, weights) = (prepared.items, &prepared.weights);
     let mut frame = Frame::of(&prepared.scan, map)?;
     frame.stamp = stamp;
     prepared.place_columns(&mut frame);
     // No voxel's sums may overflow before its weight is limited again.
     let room = MOST_WEIGHT - map.config().max_weight;
-    let piece = match weight <= room {
-        true if by_block => usize::MAX,
-        true => MOST_RETURNS,
-        false => room as usize,
-    };
-    // A return adds 1 at most, and rounding half a unit.
-    let most_sum = ((weight.min(piece as f32) * WEIGHT_SCALE as f32).ceil() as u32).saturating_add(all as u32);
+    let most: f32 = weights.iter().sum::<f32>().min(room);
+    // Of a return, up to nine updates are rounded to half a unit.
+    let most_sum = ((most * WEIGHT_SCALE as f32).ceil() as u32).saturating_add(5 * all as u32);
     frame.heavy_sum = frame.max_weight_sum.saturating_sub(most_sum);
-    let pieces = |mode, most: usize| {
-        (0..all).step_by(most).map(move |first| Frame {
-            mode,
-            first: first as u32,
-            count: most.min(all - first) as u32,
-            ..frame
-        })
+    let frame = |mode, piece: Range<usize>| Frame {
+        mode,
+        first: piece.start as u32,
+        count: piece.len() as u32,
+        ..frame
     };
-    Ok(pieces(ALLOCATE, MOST_RETURNS).chain(pieces(FUSE, piece)).collect())
+    let made = (0..all)
+        .step_by(MOST_RETURNS)
+        .map(|first| frame(ALLOCATE, first..all.min(first + MOST_RETURNS)));
+    let updated = match by_block {
+        true => std::iter::once(0..all).collect(),
+        false => pieces(weights, all, MOST_RETURNS, room),
+    };
+    let updated = updated.into_iter().filter(|piece| !piece.is_empty());
+    Ok(made.chain(updated.map(|piece| frame(FUSE, piece))).collect())
 }
-
-/// Workgroups that take blocks in turns.
-const BY_BLOCK: u32 = 4096;

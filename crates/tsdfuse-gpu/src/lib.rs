@@ -33,16 +33,22 @@
 //! **Nothing is lost.** A map that is full grows, and scans under way are repeated. A device that is full says so, and its map
 //! still has the scans before.
 
+mod constants;
 #[cfg(test)]
 mod contract;
 mod device;
 mod flight;
 mod frame;
 mod fuser;
+#[cfg(test)]
+mod image;
+mod kernels;
 mod map;
 mod mesh;
 mod method;
+mod prepared;
 mod render;
+mod scratch;
 mod shader;
 mod surface;
 mod timeline;

@@ -49,6 +49,8 @@ pub struct DeviceMap {
     pub(crate) gpu: Gpu,
     /// An empty map: what the configuration means.
     pub(crate) empty: VoxelMap,
+    /// Scans that were fused so far: see [`VoxelMap::integrations`].
+    pub(crate) integrations: u32,
     pub(crate) paging: Paging,
     pub(crate) layout: wgpu::BindGroupLayout,
     pub(crate) bind_group: wgpu::BindGroup,
@@ -113,6 +115,9 @@ const BLOCK_BYTES: u64 = 8 * BLOCK_VOXELS as u64;
 const RECORD_BYTES: u64 = 16;
 const ENTRY_BYTES: u64 = 16;
 
+/// The stamp of blocks that came from elsewhere: no scan's for billions of scans. Blocks that no scan updated have 0.
+const LONG_AGO: u32 = u32::MAX;
+
 /// Most pages: each is a binding.
 const MAX_PAGES: u32 = 16;
 /// Bindings that kernels need beside the pages.
@@ -150,6 +155,7 @@ impl DeviceMap {
         let map = Self {
             gpu: gpu.clone(),
             empty,
+            integrations: 0,
             paging,
             bind_group: buffers.bind(gpu, &layout, paging)?,
             layout,
@@ -169,13 +175,14 @@ impl DeviceMap {
         let indices = map.block_indices();
         let count = u32::try_from(indices.len()).unwrap_or(u32::MAX);
         let mut device = Self::new(gpu, *map.config(), pool)?;
+        device.integrations = map.integrations();
         if count > device.buffers.capacity {
             device.grow_pool(count, 0)?;
         }
         for (first, indices) in (0..).step_by(BATCH as usize).zip(indices.chunks(BATCH as usize)) {
             let records = indices
                 .iter()
-                .flat_map(|b| b.0.to_array().map(i32::cast_unsigned).into_iter().chain([0]));
+                .flat_map(|b| b.0.to_array().map(i32::cast_unsigned).into_iter().chain([LONG_AGO]));
             device.write(&device.buffers.blocks, RECORD_BYTES * u64::from(first), records);
             for (slot, &index) in (first..).zip(indices) {
                 let voxels = map.block(index).into_iter().flat_map(|b| &b.voxels);
@@ -197,6 +204,7 @@ impl DeviceMap {
     /// [`GpuError::Lost`] if the device is gone.
     pub fn download(&self) -> Result<VoxelMap, GpuError> {
         let mut map = VoxelMap::new(*self.config())?;
+        map.set_integrations(self.integrations);
         let count = self.block_count()?;
         let mut first = 0;
         while first < count {
@@ -232,8 +240,8 @@ impl DeviceMap {
                     };
                 }
             }
-            // A block without observations was made by a scan that could not be fused for lack of room.
-            if block.voxels.iter().any(|v| v.weight_sum > 0) {
+            // One that no scan updated was made by a scan that could not be fused for lack of room.
+            if words(record).nth(3) != Some(0) {
                 map.insert_block(index_of(record), block)?;
             }
         }

@@ -91,7 +91,15 @@ pub(crate) const SURFACE: &str = include_str!("shaders/surface.wgsl");
 pub(crate) const FIND_SURFACE: &str = include_str!("shaders/find_surface.wgsl");
 pub(crate) const WRITE_MESH: &str = include_str!("shaders/write_mesh.wgsl");
 
+pub(crate) const ANGLES: &str = include_str!("shaders/angles.wgsl");
+pub(crate) const CYLINDER: &str = include_str!("shaders/cylinder.wgsl");
+pub(crate) const ONE_LINE: &str = include_str!("shaders/one_line.wgsl");
 pub(crate) const NORMALS: &str = include_str!("shaders/normals.wgsl");
+
+pub(crate) const IMAGE: &str = include_str!("shaders/image.wgsl");
+pub(crate) const PLANES: &str = include_str!("shaders/planes.wgsl");
+pub(crate) const PATCH: &str = include_str!("shaders/patch.wgsl");
+pub(crate) const CARVE: &str = include_str!("shaders/carve.wgsl");
 
 pub(crate) const RENDER: &str = include_str!("shaders/render.wgsl");
 

@@ -69,6 +69,11 @@ impl Gpu {
         Ok(passes.into_iter().zip(ticks).map(stage).collect())
     }
 
+    /// Whether each kernel is to have a pass of its own.
+    pub(crate) fn is_timed(&self) -> bool {
+        lock(&self.timeline.0).is_some()
+    }
+
     /// Begins a pass of kernels, and notes it where that is wanted.
     pub(crate) fn pass<'a>(&self, encoder: &'a mut wgpu::CommandEncoder, name: &'static str) -> wgpu::ComputePass<'a> {
         let mut recorder = lock(&self.timeline.0);

@@ -23,7 +23,7 @@ Examples:
   tsdfuse bench --threads 1 --json
   tsdfuse bench --long-drive 10000
   tsdfuse bench --long-drive 16000 --memory 512M
-  tsdfuse bench --device gpu --methods raycast,normals";
+  tsdfuse bench --device gpu --methods raycast,patch";
 
 /// Measure this machine: seconds of each stage, and how close to the memory's limit.
 #[derive(Debug, clap::Args)]

@@ -9,15 +9,25 @@ use tsdfuse_gpu::{DeviceMap, Fused, Fuser, Gpu, GpuError, Mesher, PoolConfig, Re
 use super::{OnDevice, See, Settled};
 use crate::config::RunConfig;
 
-pub(super) fn open(name: Option<&str>, config: &RunConfig, sensor: Option<&SensorModel>) -> Result<Box<dyn OnDevice>> {
+pub(super) fn open(
+    name: Option<&str>,
+    map: &VoxelMap,
+    config: &RunConfig,
+    sensor: Option<&SensorModel>,
+) -> Result<Box<dyn OnDevice>> {
     let gpu = Gpu::open(name)?;
-    let map = DeviceMap::new(&gpu, config.map, pool(&gpu))?;
+    let map = DeviceMap::upload(&gpu, map, pool(&gpu))?;
     let fuser = Fuser::new(map, config.method, &config.methods(), sensor)?;
-    Ok(Box::new(OnGpu { gpu, fuser }))
+    Ok(Box::new(OnGpu {
+        gpu,
+        fuser,
+        mesher: None,
+    }))
 }
 
 pub(super) fn mesh(name: Option<&str>, map: &VoxelMap, config: &MeshConfig) -> Result<Mesh> {
-    extract(&upload(name, map)?, config)
+    let map = upload(name, map)?;
+    Ok(Mesher::new(&map)?.extract(&map, config)?)
 }
 
 pub(super) fn viewer<'a>(name: Option<&str>, map: &VoxelMap, config: &RenderConfig) -> Result<See<'a>> {
@@ -48,13 +58,11 @@ fn upload(name: Option<&str>, map: &VoxelMap) -> Result<DeviceMap> {
     Ok(DeviceMap::upload(&gpu, map, pool(&gpu))?)
 }
 
-fn extract(map: &DeviceMap, config: &MeshConfig) -> Result<Mesh> {
-    Ok(Mesher::new(map)?.extract(map, config)?)
-}
-
 struct OnGpu {
     gpu: Gpu,
     fuser: Fuser,
+    /// Once there was a mesh.
+    mesher: Option<Mesher>,
 }
 
 fn settled(done: Vec<Fused>) -> Vec<Settled> {
@@ -83,7 +91,18 @@ impl OnDevice for OnGpu {
         Ok(self.fuser.map().download()?)
     }
 
-    fn mesh(&self, config: &MeshConfig) -> Result<Mesh> {
-        extract(self.fuser.map(), config)
+    fn mesh(&mut self, config: &MeshConfig) -> Result<Mesh> {
+        let map = self.fuser.map();
+        let mesher = match &mut self.mesher {
+            Some(mesher) => mesher,
+            none => none.insert(Mesher::new(map)?),
+        };
+        Ok(mesher.extract(map, config)?)
+    }
+
+    fn viewer<'a>(&'a self, config: &RenderConfig) -> Result<See<'a>> {
+        let map = self.fuser.map();
+        let mut renderer = Renderer::new(map, config)?;
+        Ok(Box::new(move |camera, pose| Ok(renderer.view(map, camera, pose)?)))
     }
 }

@@ -14,7 +14,7 @@ fn none() -> Error {
     anyhow!("this build has no part for GPUs: it was made without the feature gpu")
 }
 
-pub(super) fn open(_: Option<&str>, _: &RunConfig, _: Option<&SensorModel>) -> Result<Box<dyn OnDevice>> {
+pub(super) fn open(_: Option<&str>, _: &VoxelMap, _: &RunConfig, _: Option<&SensorModel>) -> Result<Box<dyn OnDevice>> {
     Err(none())
 }
 

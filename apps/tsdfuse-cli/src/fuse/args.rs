@@ -111,9 +111,8 @@ impl Args {
 
     /// Finds out before the work, not after it, that its results could not be written.
     pub(super) fn check_outputs(&self) -> Result<()> {
-        let elsewhere = self.memory.is_some() || self.store.is_some() || self.load_map.is_some();
-        if elsewhere && self.device != Device::Cpu {
-            let told = "--memory, --store and --load-map are for maps that the CPU fuses: leave out --device";
+        if (self.memory.is_some() || self.store.is_some()) && self.device != Device::Cpu {
+            let told = "--memory and --store are for maps that the CPU fuses: leave out --device";
             return Err(Usage::new(told).into());
         }
         if let Some(mesh) = &self.output {
@@ -122,9 +121,6 @@ impl Args {
             }
             if self.mesh_every.is_some() && is_tileset(mesh) {
                 return Err(Usage::new("--mesh-every writes one file again and again, not tiles").into());
-            }
-            if self.mesh_every.is_some() && self.device != Device::Cpu {
-                return Err(Usage::new("--mesh-every follows a map that the CPU fuses: leave out --device").into());
             }
             output::check_mesh(mesh, self.json)?;
         }

@@ -5,15 +5,16 @@ use std::time::Instant;
 
 use anyhow::Result;
 use serde::Serialize;
-use tsdfuse::VoxelMap;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Incremental, MeshConfig};
+use tsdfuse::{Mesh, VoxelMap};
 
 /// The mesh of the scans so far.
 pub(super) struct Growing {
     every: usize,
     path: PathBuf,
     surface: Incremental,
+    config: MeshConfig,
     scans: usize,
     pub(super) report: GrowthReport,
 }
@@ -36,18 +37,23 @@ impl Growing {
             every,
             path,
             surface,
+            config: *config,
             scans: 0,
             report: GrowthReport::default(),
         }
     }
 
-    /// Takes up a scan that was fused, and writes the mesh if it is time, and if there is any surface.
-    pub(super) fn follow(&mut self, map: &VoxelMap, updated: &[BlockIndex]) -> Result<()> {
+    /// Takes up a scan that was fused, and writes the mesh that `extract` makes if it is time, and if there is any surface.
+    pub(super) fn follow(
+        &mut self,
+        updated: &[BlockIndex],
+        extract: impl FnOnce(&mut Incremental, &MeshConfig) -> Result<Mesh>,
+    ) -> Result<()> {
         let start = Instant::now();
         self.surface.note(updated);
         self.scans += 1;
         if self.scans.is_multiple_of(self.every) {
-            let mesh = self.surface.mesh(map)?;
+            let mesh = extract(&mut self.surface, &self.config)?;
             if !mesh.triangles.is_empty() {
                 tsdfuse_io::mesh::write(&self.path, &mesh)?;
                 self.report.meshes += 1;

@@ -73,12 +73,44 @@ fn a_saved_map_is_meshed_and_seen_by_both_alike() {
 }
 
 #[test]
+fn patches_are_continued_followed_and_seen_on_a_gpu() {
+    if !has_gpu() {
+        return;
+    }
+    let folder = Folder::new();
+    let set = folder.simulate("box", "box", "vlp16", 5, &["--motion"]);
+    let [mesh, half, all, view] = ["mesh.ply", "half.tsdf", "all.tsdf", "view.png"].map(|name| folder.text(name));
+    let run = |more: &[&str]| {
+        let coarse = ["--voxel-size", "0.1"];
+        let base = ["fuse", &set, "--method", "patch", "--sensor", "vlp16", "--json"];
+        tsdfuse(&[&base[..], &coarse, more].concat()).succeeded().json()
+    };
+    let cpu = run(&["-o", &mesh]);
+    let triangles = ply::read(mesh.as_ref()).1;
+    let gpu = ["--device", "gpu"];
+    run(&[&["--scans", "0..3", "--save-map", &half][..], &gpu].concat());
+    let rest = ["--scans", "3..5", "--load-map", &half, "-o", &mesh, "--mesh-every", "1"];
+    let report = run(&[&rest[..], &["--save-map", &all, "--preview", &view], &gpu].concat());
+    assert_eq!(report["loaded_map"]["integrations"], 3);
+    assert_eq!(report["growth"]["meshes"], 2);
+    assert_eq!(report["map"]["blocks"], cpu["map"]["blocks"]);
+    let on_gpu = ply::read(mesh.as_ref()).1;
+    assert!(
+        triangles > 1000 && on_gpu.abs_diff(triangles) < triangles / 100,
+        "{triangles} {on_gpu}"
+    );
+    assert!(report["preview"]["surface_pixels"].as_u64().unwrap() > 500, "{report}");
+    let again = run(&["--scans", "4..5", "--load-map", &all, "-o", &mesh]);
+    assert_eq!(again["loaded_map"]["integrations"], 5);
+}
+
+#[test]
 fn what_a_gpu_cannot_do_is_told_in_one_sentence() {
     let folder = Folder::new();
     let set = folder.simulate("box", "box", "vlp16", 2, &[]);
     let mesh = folder.text("mesh.ply");
     let fuse = |more: &[&str]| tsdfuse(&[&["fuse", &set, "-o", &mesh], more].concat());
-    let told = fuse(&["--device", "gpu", "--mesh-every", "1"]).failed(2);
+    let told = fuse(&["--device", "gpu", "--memory", "1G"]).failed(2);
     assert!(told.contains("leave out --device"), "{told}");
     let wrong = fuse(&["--device", "tpu"]);
     assert!(

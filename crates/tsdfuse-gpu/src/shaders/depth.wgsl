@@ -1,8 +1,6 @@
 // Depth images: see `tsdfuse::fuse::depth`, whose blocks and voxels these are. `returns` holds the depth of each pixel,
 // metres along the optical axis, 0 where nothing was measured.
 
-// Half the diagonal of a block, in voxels.
-const BLOCK_RADIUS: f32 = 6.928203;
 // An axis along which a line moves slower than this counts as standing still.
 const STILL: f32 = 1e-9;
 
@@ -68,11 +66,6 @@ fn allocate_depth(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_i
     }
 }
 
-// Camera's axes from world axes.
-fn to_camera(v: vec3<f32>) -> vec3<f32> {
-    return vec3(dot(frame.world_x, v), dot(frame.world_y, v), dot(frame.world_z, v));
-}
-
 // Whether the side of the image between two of its corners leaves part of a ball about a point on the inside.
 fn within(corner: vec3<f32>, next: vec3<f32>, center: vec3<f32>, radius: f32) -> bool {
     return dot(normalize(cross(next, corner)), center) >= -radius;
@@ -100,16 +93,15 @@ fn fuse_depth(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) 
     let truncation_m = frame.truncation_vox * voxel_size_m;
     let count = min(atomicLoad(&state.blocks), state.capacity);
     for (var slot = group.x; slot < count; slot += groups.x) {
-        // The block's first corner, voxels from the anchor.
-        let first = vec3<f32>((blocks[slot].index << vec3(3u)) - frame.anchor_voxel) - frame.anchor_fraction;
-        if !sees(to_camera((first + 4.0) * voxel_size_m), BLOCK_RADIUS * voxel_size_m, truncation_m) {
+        let first = corner_of(blocks[slot].index);
+        if !sees(to_sensor((first + 4.0) * voxel_size_m), BLOCK_RADIUS * voxel_size_m, truncation_m) {
             continue;
         }
         var updated = false;
         var is_heavy = false;
         for (var local = lane; local < BLOCK_VOXELS; local += 64u) {
             let at = vec3<f32>(vec3(local & 7u, local >> 3u & 7u, local >> 6u));
-            let x = to_camera((first + at + 0.5) * voxel_size_m);
+            let x = to_sensor((first + at + 0.5) * voxel_size_m);
             if !(x.x > 0.0) {
                 continue;
             }
@@ -129,8 +121,8 @@ fn fuse_depth(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) 
         if is_heavy {
             atomicOr(&state.heavy, 1u);
         }
-        if updated && atomicLoad(&blocks[slot].stamp) != frame.stamp && atomicExchange(&blocks[slot].stamp, frame.stamp) != frame.stamp {
-            state.list[atomicAdd(&state.updated, 1u)] = slot;
+        if updated {
+            note_update(slot);
         }
     }
 }

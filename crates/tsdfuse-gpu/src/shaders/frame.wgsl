@@ -28,12 +28,23 @@ struct Frame {
     heavy_sum: u32,
     // Where columns beside the points begin in `returns`; 0: there is none.
     times_at: u32,
-    cells_at: u32,
-    image_at: u32,
+    rings_at: u32,
     rings: u32,
     columns: u32,
     max_range_m: f32,
     min_dot: f32,
+    // Returns of the whole scan.
+    total: u32,
+    // Of surface patches: see `tsdfuse::patch::Limits`; tangents of the angles between rings; nearest rings by elevation.
+    window_m: f32,
+    noise_m: f32,
+    step_m: f32,
+    max_gap_m: f32,
+    // Angle between columns, and how many there are in a radian.
+    column_rad: f32,
+    columns_per_rad: f32,
+    gaps_at: u32,
+    nearest_at: u32,
     // A camera's focal lengths, and its principal point, pixels.
     camera: vec4<f32>,
 }
@@ -61,6 +72,7 @@ fn is_finite(bits: vec3<u32>) -> bool {
     return all((bits & vec3(0x7f800000u)) != vec3(0x7f800000u));
 }
 
+// Whether a return has a place.
 fn is_valid(i: u32) -> bool {
     let at = 3u * i;
     var valid = is_finite(vec3(returns[at], returns[at + 1u], returns[at + 2u]));
@@ -99,4 +111,24 @@ fn place(i: u32) -> Placed {
         origin = frame.velocity * secs;
     }
     return Placed(frame.world_x * p.x + frame.world_y * p.y + frame.world_z * p.z + origin, origin);
+}
+
+// Axes of the sensor at the scan's pose, from world axes.
+fn to_sensor(v: vec3<f32>) -> vec3<f32> {
+    return vec3(dot(frame.world_x, v), dot(frame.world_y, v), dot(frame.world_z, v));
+}
+
+// Half the diagonal of a block, in voxels.
+const BLOCK_RADIUS: f32 = 6.928203;
+
+// The first corner of a block, voxels from the anchor.
+fn corner_of(block: vec3<i32>) -> vec3<f32> {
+    return vec3<f32>((block << vec3(3u)) - frame.anchor_voxel) - frame.anchor_fraction;
+}
+
+// Lists a block that this scan updates, the first time.
+fn note_update(slot: u32) {
+    if atomicLoad(&blocks[slot].stamp) != frame.stamp && atomicExchange(&blocks[slot].stamp, frame.stamp) != frame.stamp {
+        state.list[atomicAdd(&state.updated, 1u)] = slot;
+    }
 }

@@ -1,12 +1,15 @@
 // Updating the voxels about thin lines, one thread a return: see `tsdfuse::fuse::lines`, whose walk this is.
 //
-// A method says of each return which line (`line_of`), and of each voxel near it which update (`rule`).
+// A method says what becomes of a return (`fuse_return`; mostly one line, see one_line.wgsl), how far voxels may be from a line (`reach_along`, `wide`)
+// and which update each of them gets (`rule`).
 
 // What became of a return.
 const FUSED: u32 = 0u;
 const OUTSIDE_GRID: u32 = 1u;
 const WITHOUT_NORMAL: u32 = 2u;
 const WITHOUT_WEIGHT: u32 = 3u;
+// What is not to be counted.
+const NO_RETURN: u32 = 4u;
 
 // √3/2: the largest distance of a point in a voxel to its centre, in voxels (5.6).
 const VOXEL_RADIUS: f32 = 0.8660254;
@@ -18,6 +21,8 @@ struct Line {
     voxel: vec3<i32>,
     fraction: vec3<f32>,
     axis: vec3<f32>,
+    // Voxels are at most this far from its centre along it, in voxels.
+    reach: f32,
     weight: f32,
     outcome: u32,
 }
@@ -51,13 +56,14 @@ fn ray_of(i: u32) -> Ray {
     return Ray(end, along / range_m, range_m, FUSED);
 }
 
-fn line(end: vec3<f32>, axis: vec3<f32>, weight: f32) -> Line {
-    let voxel = floor(end);
-    return Line(frame.anchor_voxel + vec3<i32>(voxel), end - voxel, axis, weight, FUSED);
+// A line through a place relative to the anchor's voxel, voxels.
+fn line(center: vec3<f32>, axis: vec3<f32>, weight: f32) -> Line {
+    let voxel = floor(center);
+    return Line(frame.anchor_voxel + vec3<i32>(voxel), center - voxel, axis, frame.truncation_vox, weight, FUSED);
 }
 
 fn no_line(outcome: u32) -> Line {
-    return Line(vec3(0), vec3(0.0), vec3(0.0), 0.0, outcome);
+    return Line(vec3(0), vec3(0.0), vec3(0.0), 0.0, 0.0, outcome);
 }
 
 // The last block that this thread found, and its slot.
@@ -71,8 +77,8 @@ fn slot_to_update(block: vec3<i32>) -> u32 {
     let slot = slot_of(block);
     if slot == NONE {
         atomicAdd(&state.lost, 1u);
-    } else if atomicLoad(&blocks[slot].stamp) != frame.stamp && atomicExchange(&blocks[slot].stamp, frame.stamp) != frame.stamp {
-        state.list[atomicAdd(&state.updated, 1u)] = slot;
+    } else {
+        note_update(slot);
     }
     return slot;
 }
@@ -118,7 +124,7 @@ fn walk(l: Line) {
     let slope = 1.0 / axis.x;
     let wide_u = wide(axis);
     let wide_w = wide(axis.xzy);
-    let reach = reach_along(axis.x);
+    let reach = reach_along(l, axis.x);
     let last = round(fraction.x + reach - 1.0);
     for (var plane = round(fraction.x - reach); plane <= last; plane += 1.0) {
         let t = (plane + 0.5 - fraction.x) * slope;
@@ -140,19 +146,19 @@ fn walk(l: Line) {
     }
 }
 
-var<workgroup> outcomes: array<atomic<u32>, 4>;
+var<workgroup> outcomes: array<atomic<u32>, 5>;
 
+// Workgroups for all returns follow each other as often as a method has threads for each.
 @compute @workgroup_size(64)
-fn fuse(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    if atomicLoad(&state.flags) == 0u && id.x < frame.count {
-        let l = line_of(frame.first + id.x);
-        if l.outcome == FUSED {
-            walk(l);
-        }
+fn fuse(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let groups = (frame.count + 63u) / 64u;
+    let n = 64u * (group.x % groups) + lane;
+    if atomicLoad(&state.flags) == 0u && n < frame.count {
+        let outcome = fuse_return(frame.first + n, group.x / groups);
         if is_heavy {
             atomicOr(&state.heavy, 1u);
         }
-        atomicAdd(&outcomes[l.outcome], 1u);
+        atomicAdd(&outcomes[outcome], 1u);
     }
     workgroupBarrier();
     if frame.mode != ALLOCATE && lane < 4u {

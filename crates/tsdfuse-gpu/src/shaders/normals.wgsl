@@ -1,35 +1,19 @@
 // Local surface normals, from the four neighbours in the organized image: see `tsdfuse::fuse::normals` and
 // `tsdfuse::normals::adjacent`.
 
-const PI: f32 = 3.1415927;
 // Unit vectors whose sum is shorter than this cancel each other.
 const CANCELLED: f32 = 1e-3;
-
-// `acos(x) = √(1−x)·P(x)` for 0 ≤ x ≤ 1: the polynomial of `tsdfuse::sensor::approx`, since built-in ones differ.
-const ACOS = array(
-    1.5707964, -0.2145988, 0.08897899, -0.050174303, 0.03089188, -0.017088126, 0.00667009, -0.0012624911,
-);
-
-fn arc_cosine(x: f32) -> f32 {
-    let a = min(abs(x), 1.0);
-    var sum = 0.0;
-    for (var k = 7; k >= 0; k--) {
-        sum = sum * a + ACOS[k];
-    }
-    let angle = sqrt(1.0 - a) * sum;
-    return select(angle, PI - angle, x < 0.0);
-}
 
 // From a return to the one in some cell; w: whether there is one.
 fn edge_to(p: vec3<f32>, ring: u32, column: u32) -> vec4<f32> {
     if ring >= frame.rings {
         return vec4(0.0);
     }
-    let i = returns[frame.image_at + ring * frame.columns + column];
-    if i == NONE || !is_valid(i) {
-        return vec4(0.0, 0.0, 0.0, select(0.0, -1.0, i != NONE));
+    let cell = cells[ring * frame.columns + column];
+    if !is_there(cell) {
+        return vec4(0.0, 0.0, 0.0, select(0.0, -1.0, cell.i == INVALID));
     }
-    return vec4(place(i).point - p, 1.0);
+    return vec4(cell.point - p, 1.0);
 }
 
 // The unit normal of a triangle; w: whether it has one.
@@ -46,18 +30,17 @@ fn similar(a: vec4<f32>, b: vec4<f32>) -> bool {
 
 // The normal towards the sensor, and how far the triangles agree (5.17); 0: there is no normal.
 fn normal_of(i: u32, p: vec3<f32>, ray: vec3<f32>) -> vec4<f32> {
-    let cell = returns[frame.cells_at + i];
+    let cell = cell_of(i);
     if cell == NONE {
         return vec4(0.0);
     }
     let ring = cell / frame.columns;
     let column = cell % frame.columns;
-    let last = frame.columns - 1u;
     // Cyclic, so that two after another span an adjacent triangle [E3]. Ring 0 less 1 is none.
     let e0 = edge_to(p, ring - 1u, column);
-    let e1 = edge_to(p, ring, select(column + 1u, 0u, column == last));
+    let e1 = edge_to(p, ring, next_column(column));
     let e2 = edge_to(p, ring + 1u, column);
-    let e3 = edge_to(p, ring, select(column - 1u, last, column == 0u));
+    let e3 = edge_to(p, ring, column_before(column));
     if e0.w * e1.w * e2.w * e3.w == 0.0 {
         return vec4(0.0); // all four must be there
     }
@@ -102,15 +85,6 @@ fn line_of(i: u32) -> Line {
         return no_line(WITHOUT_WEIGHT);
     }
     return line(ray.end, found.xyz, weight);
-}
-
-fn reach_along(axis_m: f32) -> f32 {
-    let across = sqrt(max(1.0 - axis_m * axis_m, 0.0));
-    return SLACK + abs(axis_m) * frame.truncation_vox + across * VOXEL_RADIUS;
-}
-
-fn wide(axis: vec3<f32>) -> f32 {
-    return select(3.0, 2.0, 0.75 * (1.0 - axis.z * axis.z) < (1.0 - 2.0 * SLACK) * axis.x * axis.x);
 }
 
 // Distance over μ, and weight; a weight of 0: no update.

@@ -3,9 +3,9 @@
 // An axis along which the line moves slower than this counts as standing still.
 const STILL: f32 = 1e-6;
 
-fn reach_along(axis_m: f32) -> f32 {
+fn reach_along(l: Line, axis_m: f32) -> f32 {
     let across = sqrt(max(1.0 - axis_m * axis_m, 0.0));
-    return SLACK + min(abs(axis_m) * frame.truncation_vox + across * VOXEL_RADIUS, frame.truncation_vox);
+    return SLACK + min(abs(axis_m) * l.reach + across * VOXEL_RADIUS, l.reach);
 }
 
 fn wide(axis: vec3<f32>) -> f32 {

@@ -26,6 +26,12 @@ pub(crate) const ROUNDING: Tolerance = Tolerance {
     share: 2e-4,
 };
 
+/// A plane may be one on one side only, where it is nearly none.
+pub(crate) const PLANES: Tolerance = Tolerance {
+    share: 1e-3,
+    ..ROUNDING
+};
+
 pub(crate) type Voxels = BTreeMap<[i32; 3], Voxel>;
 
 pub(crate) fn voxels(map: &VoxelMap) -> Voxels {
@@ -88,9 +94,11 @@ pub(crate) fn assert_agrees(device: &VoxelMap, cpu: &VoxelMap, tolerance: Tolera
     assert!(differing(&fewer, &b, tolerance) > tolerance.share || a.len() < every);
     assert!(differing(&b, &fewer, tolerance) > tolerance.share || a.len() < every);
     let moved = |distance: f64, weight: f64| -> Voxels {
+        // Beyond what is allowed for rounding, of which voxels of little weight have most.
+        let rounding = if distance > 0.0 { 8.0 } else { 0.0 };
         let off = |v: &Voxel| Voxel {
             weight_sum: (f64::from(v.weight_sum) * weight) as u32 + 1,
-            distance_sum: (f64::from(v.distance_sum) * weight + distance * f64::from(v.weight_sum)) as i32,
+            distance_sum: (f64::from(v.distance_sum) * weight + distance * f64::from(v.weight_sum) + rounding) as i32,
         };
         a.iter().map(|(p, v)| (*p, off(v))).collect()
     };

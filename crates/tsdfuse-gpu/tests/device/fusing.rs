@@ -17,7 +17,7 @@ use crate::{
     map::{LARGE, SMALL},
 };
 
-fn on_cpu(
+pub(crate) fn on_cpu(
     scans: &[Scan],
     method: Method,
     config: &FuseConfig,
@@ -39,7 +39,7 @@ fn on_cpu(
     (map, done)
 }
 
-fn on_gpu(
+pub(crate) fn on_gpu(
     scans: &[Scan],
     method: Method,
     config: &FuseConfig,
@@ -55,7 +55,7 @@ fn on_gpu(
     (fuser.map().download().unwrap(), done)
 }
 
-fn new_map(gpu: &Gpu, pool: PoolConfig) -> DeviceMap {
+pub(crate) fn new_map(gpu: &Gpu, pool: PoolConfig) -> DeviceMap {
     DeviceMap::new(gpu, MapConfig::default(), pool).unwrap()
 }
 
@@ -81,7 +81,7 @@ fn moving_scans(count: usize) -> Vec<Scan> {
     (0..count).map(moving).collect()
 }
 
-fn assert_same_counts(device: &[Fused], cpu: &[Fused]) {
+pub(crate) fn assert_same_counts(device: &[Fused], cpu: &[Fused]) {
     assert_eq!(device.len(), cpu.len());
     for (a, b) in device.iter().zip(cpu) {
         assert_eq!(
@@ -321,7 +321,7 @@ fn a_full_device_says_so_and_keeps_the_scans_before() {
 }
 
 /// Sweeps of a simulated sensor that moves through a street, with noise.
-fn sweeps(count: usize) -> (Vec<Scan>, SensorModel) {
+pub(crate) fn sweeps(count: usize) -> (Vec<Scan>, SensorModel) {
     let street = scene::by_name("street", 0).unwrap();
     let sensor = tsdfuse::sensor::model("vlp16").unwrap();
     let poses = path::by_name("vehicle", &street, 40).unwrap()[..count].to_vec();

@@ -9,6 +9,7 @@ mod compare;
 mod fusing;
 mod map;
 mod meshing;
+mod patch;
 mod rendering;
 
 use std::sync::OnceLock;

@@ -1,9 +1,11 @@
 //! The beams of the sensor, for methods that need to know them: stated, or guessed from the first scan.
 
+use std::borrow::Cow;
+
 use super::FuseError;
 use crate::{
     scan::Scan,
-    sensor::{SensorModel, guess},
+    sensor::{SensorModel, grid_of, guess, rings_of},
 };
 
 /// A sensor's model, once it is known.
@@ -37,5 +39,20 @@ impl Beams {
         })?;
         model.check().map_err(|e| unorganized(e.to_string()))?;
         Ok(model)
+    }
+
+    /// The sensor's model and the ring of each return; of a scan in which no beams show, those of a grid as fine as its
+    /// returns.
+    ///
+    /// # Errors
+    /// As [`Self::of`], if none of the returns is valid.
+    pub fn or_grid<'a>(&'a mut self, scan: &'a Scan) -> Result<(Cow<'a, SensorModel>, Cow<'a, [u16]>), FuseError> {
+        match self.of(scan) {
+            Ok(sensor) => Ok((Cow::Borrowed(sensor), rings_of(scan, sensor))),
+            Err(error) => {
+                let (grid, rings) = grid_of(&scan.points).ok_or(error)?;
+                Ok((Cow::Owned(grid), rings.into()))
+            }
+        }
     }
 }

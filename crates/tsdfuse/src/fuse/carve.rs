@@ -24,26 +24,26 @@ use crate::{
 };
 
 /// A voxel is inside of something if it is at least this far behind its surface, in voxels.
-const INSIDE: f32 = 0.5;
+pub const INSIDE: f32 = 0.5;
 
 /// A ray passes a voxel if it is at most this far from its centre, in voxels.
-const BESIDE: f32 = 0.6;
+pub const BESIDE: f32 = 0.6;
 
 /// A ray tells nothing about voxels that are nearer than this to its end or to the plane that it ends on, in voxels: pose and range are
 /// not known better.
-const MARGIN: f32 = 2.5;
+pub const MARGIN: f32 = 2.5;
 
 /// Of less weight than this, a voxel is forgotten: 1/100, a return at 100 m.
-const FORGOTTEN: u32 = WEIGHT_SCALE / 100;
+pub const FORGOTTEN: u32 = WEIGHT_SCALE / 100;
 
 /// A block is looked at in one of this many scans: one that the scan did not update, and one that it did.
-const TURNS: [u32; 2] = [1, 8];
+pub const TURNS: [u32; 2] = [1, 8];
 
 /// Of a block that a scan did not update, this many voxels passed make that all of it is doubted.
-const MIN_PASSED: usize = 3;
+pub const MIN_PASSED: usize = 3;
 
 /// Bins of elevation, per radian.
-const BINS_PER_RAD: f32 = 1000.0;
+pub const BINS_PER_RAD: f32 = 1000.0;
 
 /// What a scan saw, to tell where its rays passed.
 pub(super) struct Seen<'a> {
@@ -110,15 +110,7 @@ impl Carver {
             return;
         }
         self.elevations_deg.clone_from(&sensor.elevations_deg);
-        let projection = Projection::new(sensor);
-        let nearest = |bin: usize| {
-            let elevation = bin as f64 / f64::from(BINS_PER_RAD) - std::f64::consts::FRAC_PI_2;
-            projection
-                .row_of(elevation)
-                .round()
-                .clamp(0.0, (sensor.rings() - 1) as f64) as u16
-        };
-        self.rings = (0..=(PI * BINS_PER_RAD) as usize).map(nearest).collect();
+        self.rings = nearest_rings(sensor);
     }
 
     /// Bins of elevation and columns in which eight places are seen (sensor axes).
@@ -192,6 +184,19 @@ impl Carver {
         }
         passed > 0 && !whole
     }
+}
+
+/// The nearest ring of each bin of elevation.
+pub fn nearest_rings(sensor: &SensorModel) -> Vec<u16> {
+    let projection = Projection::new(sensor);
+    let nearest = |bin: usize| {
+        let elevation = bin as f64 / f64::from(BINS_PER_RAD) - std::f64::consts::FRAC_PI_2;
+        projection
+            .row_of(elevation)
+            .round()
+            .clamp(0.0, (sensor.rings() - 1) as f64) as u16
+    };
+    (0..=(PI * BINS_PER_RAD) as usize).map(nearest).collect()
 }
 
 /// Whether a ray passes a place, seen in a ring and between a column and the next, and ends well behind it.

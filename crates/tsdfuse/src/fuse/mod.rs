@@ -21,6 +21,8 @@ mod placed;
 mod raycast;
 mod roldao;
 mod surfel;
+#[doc(hidden)]
+pub mod twin;
 
 use serde::{Deserialize, Serialize};
 

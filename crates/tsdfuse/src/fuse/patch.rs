@@ -30,30 +30,30 @@ use crate::{
     map::VoxelMap,
     patch::{Limits, Patches},
     scan::Scan,
-    sensor::{ScanImage, SensorModel, grid_of, rings_of},
+    sensor::{ScanImage, SensorModel},
 };
 
 /// How far in front of the surface voxels are updated, in voxels: cells that the surface passes have their corners within √3/2
 /// of it along the normal, and those of neighbouring lines a little more.
-const FRONT: f32 = 1.5;
+pub const FRONT: f32 = 1.5;
 
 /// How far behind it.
-const BEHIND: f32 = 1.25;
+pub const BEHIND: f32 = 1.25;
 
 /// From here on, behind the surface, the weight falls to 0, half a voxel beyond [`BEHIND`].
-const FULL_BEHIND: f32 = 1.0;
+pub const FULL_BEHIND: f32 = 1.0;
 
 /// Patches between returns are this far apart, in voxels: lines of radius √3/2 still overlap.
-const STEP: f32 = 1.5;
+pub const STEP: f32 = 1.5;
 
 /// Weight of a patch between returns: two neighbours know it half as well as they know themselves.
-const BETWEEN_WEIGHT: f32 = 0.5;
+pub const BETWEEN_WEIGHT: f32 = 0.5;
 
 /// Weight of a return without a plane.
-const RAY_WEIGHT: f32 = 0.1;
+pub const RAY_WEIGHT: f32 = 0.1;
 
 /// How far the line of a return reaches that stands alone: this many times the distance to the next ring.
-const LONE_REACH: f32 = 3.0;
+pub const LONE_REACH: f32 = 3.0;
 
 /// Options of [`Patch`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -138,14 +138,8 @@ impl Integrator for Patch {
             return Ok(Integration::default());
         }
         scan.check()?;
-        let unorganized;
-        let (sensor, rings) = match self.beams.of(scan) {
-            Ok(sensor) => (sensor, rings_of(scan, sensor)),
-            Err(error) => {
-                unorganized = grid_of(&scan.points).ok_or(error)?;
-                (&unorganized.0, unorganized.1.as_slice().into())
-            }
-        };
+        let (sensor, rings) = self.beams.or_grid(scan)?;
+        let sensor = sensor.as_ref();
         let (anchor, ()) = rayon::join(
             || placed.place(grid, scan),
             || image.update(&scan.points, &rings, sensor),

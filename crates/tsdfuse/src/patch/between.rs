@@ -7,10 +7,10 @@ use super::{Limits, Patch};
 use crate::sensor::{PART, ScanImage};
 
 /// Patches whose normals are at most this far apart may be of one surface: a cosine, of 26°.
-const MIN_DOT: f32 = 0.9;
+pub const MIN_DOT: f32 = 0.9;
 
 /// Each of the two lies on the plane of the other, up to this many standard deviations of ranges.
-const MAX_OFF: f32 = 2.0;
+pub const MAX_OFF: f32 = 2.0;
 
 /// Finds patches between those of neighbouring returns (next ring, next column), at most `step_m` apart. Keeps its buffers.
 #[derive(Debug, Default)]

@@ -12,9 +12,12 @@ use crate::{
     lanes::LANES,
     sensor::{NONE, ScanImage},
 };
+pub use between::{MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT};
+pub use sums::MAX_COLUMNS;
+
 use between::Between;
 use plane::Moments;
-use sums::{MAX_COLUMNS, Window, WindowSums};
+use sums::{Window, WindowSums};
 
 /// The surface at a return, or between two.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -48,40 +51,40 @@ pub(crate) struct Limits {
 }
 
 /// How rough a surface may be beside the noise (root of the mean of squares), metres.
-const ROUGHNESS_M: f32 = 0.01;
+pub const ROUGHNESS_M: f32 = 0.01;
 
 /// Returns are off their plane by at most this many times what is expected, in the mean (root of the squares), …
-const MAX_RESIDUAL: f32 = 1.5;
+pub const MAX_RESIDUAL: f32 = 1.5;
 
 /// … and the return itself by this many.
-const MAX_OFF: f32 = 2.5;
+pub const MAX_OFF: f32 = 2.5;
 
 /// A plane takes returns that are spread twice as far along it, in its narrower direction, as they are off it.
-const MIN_SPREAD: f32 = 2.0;
+pub const MIN_SPREAD: f32 = 2.0;
 
 /// The least cosine of the angle between a ray and a plane's normal.
-const MIN_COSINE: f32 = 0.03;
+pub const MIN_COSINE: f32 = 0.03;
 
 /// A return without a plane stands alone if at most this many of the eight beside it have one.
-const MAX_BESIDE: usize = 2;
+pub const MAX_BESIDE: usize = 2;
 
 /// Fewer returns make no plane that could be told from their noise.
-const MIN_RETURNS: f32 = 5.0;
+pub const MIN_RETURNS: f32 = 5.0;
 
 /// Windows reach this many rings up and down at most.
-const MAX_RINGS: usize = 8;
+pub const MAX_RINGS: usize = 8;
 
 /// The noise is estimated from every such return, …
-const SAMPLE: usize = 16;
+pub const SAMPLE: usize = 16;
 
 /// … whose window has this many returns, …
-const MIN_TELLING: f32 = 9.0;
+pub const MIN_TELLING: f32 = 9.0;
 
 /// … and is met by the ray at an angle of at least this cosine to its normal; …
-const FACING: f32 = 0.5;
+pub const FACING: f32 = 0.5;
 
 /// … and is taken to be no less and no more than this, metres.
-const NOISE_M: [f32; 2] = [0.01, 0.03];
+pub const NOISE_M: [f32; 2] = [0.01, 0.03];
 
 /// Returns that one thread takes at a time.
 const PART: usize = 2048;

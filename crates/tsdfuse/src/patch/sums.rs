@@ -13,7 +13,10 @@ use crate::sensor::{NONE, ScanImage};
 pub(super) type Sums = [f64; 10];
 
 /// Windows may reach this many columns to each side.
-pub(super) const MAX_COLUMNS: usize = 16;
+pub const MAX_COLUMNS: usize = 16;
+
+/// Returns farther away than this, metres, are left out, and those that are nowhere: they would be felt in all sums of their band.
+const FARTHEST_M: f32 = 1000.0;
 
 /// Rings of a band.
 const BAND: usize = 16;
@@ -50,7 +53,7 @@ impl WindowSums {
                 row[0] = below.map_or(sums, |below| below[0]);
                 for c in 0..width - 1 {
                     let cell = cells[(c + columns * MAX_COLUMNS - MAX_COLUMNS) % columns];
-                    if cell != NONE {
+                    if cell != NONE && points[cell as usize].length_squared() < FARTHEST_M * FARTHEST_M {
                         add(&mut sums, points[cell as usize]);
                     }
                     row[c + 1] = sums;
@@ -148,6 +151,20 @@ mod tests {
 
     fn differ(a: Sums, b: Sums) -> bool {
         a.iter().zip(b).any(|(a, b)| (a - b).abs() > 1e-6)
+    }
+
+    #[test]
+    fn returns_that_are_nowhere_or_very_far_away_are_left_out() {
+        let (image, mut points) = image();
+        (points[100], points[200]) = (Vec3::NAN, 1e6 * points[200]);
+        let mut sums = WindowSums::default();
+        sums.update(&image, &points);
+        let all = sums.of(Window {
+            rings: [0, RINGS - 1],
+            columns: [MAX_COLUMNS, MAX_COLUMNS + COLUMNS - 1],
+        });
+        assert_eq!(all[0] as usize, points.len() - 2);
+        assert!(all.iter().all(|sum| sum.abs() < 1e7), "{all:?}");
     }
 
     proptest! {

@@ -27,10 +27,10 @@ pub const NONE: u32 = u32::MAX;
 pub(crate) const PART: usize = 8192;
 
 /// Returns of one ring that are at most this far apart, in columns, are of one firing.
-const SAME_FIRING: f32 = 0.25;
+pub const SAME_FIRING: f32 = 0.25;
 
 /// Bins of a ring's azimuths within a column.
-pub(super) const PHASE_BINS: usize = 32;
+pub const PHASE_BINS: usize = 32;
 
 /// Returns of one scan by ring and column. Reuse it from scan to scan: it keeps its buffers.
 #[derive(Clone, Debug, Default)]
@@ -63,7 +63,8 @@ impl ScanImage {
     ///
     /// `model` has passed [`SensorModel::check`]. Where two returns fall into one cell, the one nearer to the cell's
     /// middle stays. The other moves to the cell on its side, if that is empty and if they are of two firings (sensors
-    /// that round azimuths have many that close, such as the HDL-64E); else [`ScanImage::collisions`] counts it.
+    /// that round azimuths have many that close, such as the HDL-64E), the first one of several; else
+    /// [`ScanImage::collisions`] counts it.
     pub fn update(&mut self, points: &[Vec3], rings: &[u16], model: &SensorModel) {
         self.columns = model.columns as usize;
         self.cells.clear();
@@ -138,16 +139,7 @@ impl ScanImage {
     }
 
     fn measure_angles(&mut self, model: &SensorModel) {
-        let tangent = |angle: f64| {
-            let (sin, cos) = sin_cos(angle);
-            (sin / cos) as f32
-        };
-        let gaps = model
-            .elevations_deg
-            .windows(2)
-            .map(|e| tangent(f64::from(e[1] - e[0]).to_radians()));
-        self.ring_gap_tangents.clear();
-        self.ring_gap_tangents.extend(gaps);
+        self.ring_gap_tangents = ring_gap_tangents(model);
         self.column_width_tangent = tangent(model.column_width_rad());
     }
 
@@ -201,7 +193,8 @@ impl ScanImage {
                 self.losers.push(if keeps { point as u32 } else { holder });
             }
         }
-        let losers = std::mem::take(&mut self.losers);
+        let mut losers = std::mem::take(&mut self.losers);
+        losers.sort_unstable();
         for &loser in &losers {
             let ring = usize::from(rings[loser as usize]);
             self.move_aside(loser, ring, phases[ring]);
@@ -230,6 +223,17 @@ impl ScanImage {
         }
         self.cell_of[loser as usize] = if gets_it { free as u32 } else { NONE };
     }
+}
+
+/// tan Δθ between each ring and the next one above.
+pub fn ring_gap_tangents(model: &SensorModel) -> Vec<f32> {
+    let gaps = model.elevations_deg.windows(2);
+    gaps.map(|e| tangent(f64::from(e[1] - e[0]).to_radians())).collect()
+}
+
+fn tangent(angle: f64) -> f32 {
+    let (sin, cos) = sin_cos(angle);
+    (sin / cos) as f32
 }
 
 /// The column of an azimuth (one too many at the end of a turn), and how far beyond its middle it is; in columns.

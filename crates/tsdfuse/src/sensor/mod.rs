@@ -21,6 +21,8 @@ pub use depth_image::DepthImage;
 pub use guess::guess;
 pub(crate) use image::PART;
 pub use image::{NONE, ScanImage};
+#[doc(hidden)]
+pub use image::{PHASE_BINS, SAME_FIRING, ring_gap_tangents};
 pub use order::{OrderedRings, rings_by_order};
 pub use pinhole::{MAX_IMAGE_EDGE, Pinhole, PinholeError};
 pub use projection::{Pixel, Projection};

@@ -1,0 +1,35 @@
+//! What is tuned on the CPU, as constants of kernels.
+
+use std::fmt::Debug;
+use std::sync::LazyLock;
+
+use tsdfuse::fuse::twin;
+
+/// Names as in [`twin`]; of pairs, one name each.
+pub(crate) static CONSTANTS: LazyLock<String> = LazyLock::new(|| {
+    fn text<T: Debug>(kind: &str, list: &[(&str, T)]) -> String {
+        let line = |(name, value): &(&str, T)| format!("const {name}: {kind} = {value:?};\n");
+        list.iter().map(line).collect()
+    }
+    macro_rules! named {
+        ($($name:ident)*) => { [$((stringify!($name), twin::$name)),*] };
+    }
+    let [least, most] = twin::NOISE_M;
+    let [turns, turns_updated] = twin::TURNS;
+    let lengths = named!(MIN_RETURNS MAX_RESIDUAL MAX_OFF ROUGHNESS_M MIN_SPREAD MIN_COSINE MIN_TELLING FACING MIN_DOT
+        MAX_OFF_BETWEEN FRONT BEHIND FULL_BEHIND BETWEEN_WEIGHT RAY_WEIGHT LONE_REACH INSIDE BESIDE MARGIN BINS_PER_RAD SAME_FIRING);
+    let counts =
+        named!(MAX_RINGS MAX_COLUMNS SAMPLE MAX_BESIDE MIN_PASSED PHASE_BINS).map(|(name, count)| (name, count as u32));
+    let others = [
+        ("FORGOTTEN", twin::FORGOTTEN),
+        ("TURNS", turns),
+        ("TURNS_UPDATED", turns_updated),
+    ];
+    [
+        text("f32", &lengths),
+        text("f32", &[("LEAST_NOISE_M", least), ("MOST_NOISE_M", most)]),
+        text("u32", &counts),
+        text("u32", &others),
+    ]
+    .concat()
+});

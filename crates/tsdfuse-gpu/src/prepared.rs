@@ -1,0 +1,221 @@
+//! A scan as it is sent: its columns, and what kernels are told of them.
+
+use std::borrow::Cow;
+use std::f32::consts::TAU;
+use std::ops::Range;
+
+use rayon::prelude::*;
+use tsdfuse::{
+    Scan, SensorModel,
+    fuse::{PatchConfig, Skipped, twin},
+    glam::Vec3,
+    sensor::Pinhole,
+};
+
+use crate::frame::Frame;
+
+/// A scan as it is sent.
+pub(crate) struct Prepared<'a> {
+    pub(crate) scan: Cow<'a, Scan>,
+    /// What was left out on the way.
+    pub(crate) skipped: Skipped,
+    /// The most that returns can add to the weight of one voxel: of each [`PART`] of them.
+    pub(crate) weights: Vec<f32>,
+    /// Returns, or pixels.
+    pub(crate) items: usize,
+    pub(crate) image: Option<Image<'a>>,
+    pub(crate) surface: Option<Surface<'a>>,
+    pub(crate) depth: Option<(Pinhole, &'a [f32])>,
+}
+
+/// What makes the organized image of a scan.
+pub(crate) struct Image<'a> {
+    /// The ring of each return.
+    pub(crate) rings: Cow<'a, [u16]>,
+    pub(crate) size: [u32; 2],
+    pub(crate) max_range_m: f32,
+    pub(crate) min_dot: f32,
+}
+
+/// What surface patches need beside the image.
+pub(crate) struct Surface<'a> {
+    pub(crate) config: PatchConfig,
+    /// Tangents of the angles between rings.
+    pub(crate) gaps: &'a [f32],
+    /// The nearest ring of each bin of elevation.
+    pub(crate) nearest: &'a [u32],
+}
+
+/// Returns whose weights are summed up together.
+const PART: usize = 4096;
+
+/// Sums of what returns weigh by their range, in parts.
+pub(crate) fn weights(points: &[Vec3], weigh: impl Fn(f32) -> f32 + Sync) -> Vec<f32> {
+    let of_part = |part: &[Vec3]| part.iter().map(|p| weigh(p.length())).sum();
+    points.par_chunks(PART).map(of_part).collect()
+}
+
+/// Those of weights (5.8).
+pub(crate) fn range_weights(points: &[Vec3]) -> Vec<f32> {
+    weights(points, |range_m| (1.0 / range_m).min(1.0))
+}
+
+/// Cuts parts of returns, `all` of them, into pieces of at most `most_returns` that add no more than `most_weight` each.
+pub(crate) fn pieces(weights: &[f32], all: usize, most_returns: usize, most_weight: f32) -> Vec<Range<usize>> {
+    let mut pieces: Vec<Range<usize>> = Vec::new();
+    let mut sum = 0.0;
+    for (first, weight) in (0..).step_by(PART).zip(weights) {
+        let end = all.min(first + PART);
+        sum += weight;
+        match pieces.last_mut() {
+            Some(last) if sum <= most_weight && end - last.start <= most_returns => last.end = end,
+            _ => {
+                pieces.push(first..end);
+                sum = *weight;
+            }
+        }
+    }
+    pieces
+}
+
+impl<'a> Image<'a> {
+    /// That of a sensor.
+    pub(crate) fn of(sensor: &SensorModel, rings: Cow<'a, [u16]>) -> Self {
+        Self {
+            rings,
+            size: [sensor.rings() as u32, sensor.columns],
+            max_range_m: sensor.max_range_m,
+            min_dot: 0.0,
+        }
+    }
+}
+
+/// Lines between two returns that may update one voxel: they are at least ¾ voxel apart where there are two, 9/8 where there are
+/// three, and reach 1.73 voxels.
+const MOST_BETWEEN: f32 = 4.0;
+
+impl Surface<'_> {
+    /// The most that returns add to a voxel: each for itself, and what lies between it and two others.
+    pub(crate) fn weights(&self, scan: &Scan) -> Vec<f32> {
+        // How much nearer to the sensor's position these may be than returns are to where they were measured from.
+        let off_m = twin::MAX_OFF * (self.config.noise_m.max(twin::NOISE_M[1]) + twin::ROUGHNESS_M);
+        let latest_secs = scan
+            .times
+            .iter()
+            .flatten()
+            .fold(0.0_f32, |latest, t| latest.max(t.abs()));
+        let shift_m = scan.trajectory().map_or(0.0, |trajectory| {
+            trajectory.relative_at(f64::from(latest_secs)).1.length() as f32
+        });
+        let nearer_m = off_m + shift_m + self.config.max_gap_m;
+        let each = 1.0 + 2.0 * MOST_BETWEEN * twin::BETWEEN_WEIGHT;
+        weights(&scan.points, |range_m| each / (range_m - nearer_m).max(1.0))
+    }
+}
+
+impl Prepared<'_> {
+    /// What is sent: points, times if returns are placed by them, the sensor's angles, rings; of a depth image its depths alone.
+    pub(crate) fn columns(&self) -> Vec<&[u8]> {
+        if let Some((_, depths)) = &self.depth {
+            return vec![bytemuck::cast_slice(depths)];
+        }
+        let mut columns = vec![
+            bytemuck::cast_slice(&self.scan.points),
+            bytemuck::cast_slice(self.times()),
+        ];
+        if let Some(Surface { gaps, nearest, .. }) = &self.surface {
+            columns.extend([bytemuck::cast_slice(gaps), bytemuck::cast_slice(nearest)]);
+        }
+        if let Some(image) = &self.image {
+            columns.push(bytemuck::cast_slice(&image.rings));
+        }
+        columns
+    }
+
+    /// Tells kernels where these columns begin.
+    pub(crate) fn place_columns(&self, frame: &mut Frame) {
+        if let Some((camera, depths)) = &self.depth {
+            frame.camera = [camera.fx, camera.fy, camera.cx, camera.cy];
+            (frame.columns, frame.rings) = (camera.width, camera.height);
+            frame.max_range_m = depths.iter().copied().fold(0.0, f32::max);
+            return;
+        }
+        frame.total = self.scan.points.len() as u32;
+        let mut next = 3 * self.scan.points.len();
+        let mut place = |column: usize| {
+            next += column;
+            (next - column) as u32
+        };
+        if !self.times().is_empty() {
+            frame.times_at = place(self.times().len());
+        }
+        if let Some(surface) = &self.surface {
+            frame.gaps_at = place(surface.gaps.len());
+            frame.nearest_at = place(surface.nearest.len());
+            let PatchConfig {
+                window_m,
+                noise_m,
+                max_gap_m,
+                ..
+            } = surface.config;
+            (frame.window_m, frame.noise_m, frame.max_gap_m) = (window_m, noise_m, max_gap_m);
+            frame.step_m = twin::STEP / frame.voxels_per_m;
+        }
+        if let Some(image) = &self.image {
+            frame.rings_at = place(image.rings.len().div_ceil(2));
+            [frame.rings, frame.columns] = image.size;
+            frame.columns_per_rad = frame.columns as f32 / TAU;
+            frame.column_rad = (std::f64::consts::TAU / f64::from(frame.columns)) as f32;
+            (frame.max_range_m, frame.min_dot) = (image.max_range_m, image.min_dot);
+        }
+    }
+
+    /// Bytes of the buffers beside the scan that its kernels use: see [`Scratch`](crate::scratch::Scratch).
+    pub(crate) fn scratch(&self) -> Vec<u64> {
+        let Some(Image {
+            size: [rings, columns], ..
+        }) = self.image
+        else {
+            return Vec::new();
+        };
+        let (returns, rings) = (self.scan.points.len() as u64, u64::from(rings));
+        let cells = rings * u64::from(columns);
+        let mut bytes = vec![
+            CELL_BYTES * cells,
+            PLACE_BYTES * returns,
+            OFFER_BYTES * cells,
+            RING_BYTES * rings,
+        ];
+        if self.surface.is_some() {
+            bytes.extend([PATCH_BYTES * cells, 4 * (1 + returns.div_ceil(twin::SAMPLE as u64))]);
+        }
+        bytes
+    }
+
+    fn times(&self) -> &[f32] {
+        self.scan.trajectory().and(self.scan.times.as_deref()).unwrap_or(&[])
+    }
+}
+
+/// Of the kernels' structs.
+pub(crate) const CELL_BYTES: u64 = 16;
+pub(crate) const PLACE_BYTES: u64 = 8;
+pub(crate) const OFFER_BYTES: u64 = 12;
+pub(crate) const RING_BYTES: u64 = 132;
+pub(crate) const PATCH_BYTES: u64 = 32;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pieces_are_as_long_as_they_may_be() {
+        let weights = [3.0, 3.0, 5.0, 1.0, 7.0];
+        let all = 4 * PART + 5;
+        let cut = |most_parts: usize, most| pieces(&weights, all, most_parts * PART, most);
+        assert_eq!(cut(9, 100.0).as_slice(), std::slice::from_ref(&(0..all)));
+        assert_eq!(cut(9, 7.0), [0..2 * PART, 2 * PART..4 * PART, 4 * PART..all]);
+        assert_eq!(cut(2, 100.0), [0..2 * PART, 2 * PART..4 * PART, 4 * PART..all]);
+        assert_eq!(pieces(&[], 0, PART, 1.0), []);
+    }
+}

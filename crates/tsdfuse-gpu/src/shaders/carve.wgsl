@@ -1,0 +1,106 @@
+// Free space: what rays pass through is not surface. See `tsdfuse::fuse::carve`.
+
+// Bin of elevation and column in which a place is seen, sensor's axes.
+fn seen_at(p: vec3<f32>) -> vec2<u32> {
+    let elevation = arc_tangent2(p.z, sqrt(p.x * p.x + p.y * p.y));
+    let columns = f32(frame.columns);
+    let column = -arc_tangent2(p.y, p.x) * (columns / (2.0 * PI));
+    let place = vec2((elevation + 0.5 * PI) * BINS_PER_RAD + 0.5, select(column, column + columns, column < 0.0));
+    return vec2<u32>(max(place, vec2(0.0)));
+}
+
+// The cell of the ring nearest to a bin of elevation.
+fn cell_at(bin: u32, column: u32) -> u32 {
+    let last = u32(PI * BINS_PER_RAD);
+    return returns[frame.nearest_at + min(bin, last)] * frame.columns + column % frame.columns;
+}
+
+// Whether the ray nearest to the middle of a block ends behind the block.
+fn may_be_passed(corner_vox: vec3<f32>, voxel_size_m: f32) -> bool {
+    let middle = (corner_vox + 4.0) * voxel_size_m;
+    let at = seen_at(to_sensor(middle));
+    let cell = cells[cell_at(at.x, at.y)];
+    return is_there(cell) && length(cell.point) > length(middle) + BLOCK_RADIUS * voxel_size_m;
+}
+
+// Whether a ray passes a place and ends well behind it.
+fn is_passed(center: vec3<f32>, voxel_size_m: f32) -> bool {
+    let at = seen_at(to_sensor(center));
+    for (var next = 0u; next < 2u; next++) {
+        let number = cell_at(at.x, at.y + next);
+        let cell = cells[number];
+        if !is_there(cell) {
+            continue;
+        }
+        let origin = origin_of(cell);
+        let end = cell.point - origin;
+        let p = center - origin;
+        let size = length(end);
+        let along = dot(p, end) / size;
+        let normal = patches[number].normal;
+        let above = select(size - along, dot(p - end, normal), any(normal != vec3(0.0)));
+        let beside2 = dot(p, p) - along * along;
+        let margin_m = MARGIN * voxel_size_m;
+        let radius_m = BESIDE * voxel_size_m;
+        if along > 0.0 && size - along > margin_m && above > margin_m && beside2 < radius_m * radius_m {
+            return true;
+        }
+    }
+    return false;
+}
+
+// A quarter of both sums, or nothing of what is left.
+fn quarter(voxel: vec2<u32>) -> vec2<u32> {
+    return select(vec2(voxel.x / 4u, bitcast<u32>(bitcast<i32>(voxel.y) / 4)), vec2(0u), voxel.x / 4u < FORGOTTEN);
+}
+
+var<workgroup> count: u32;
+var<workgroup> passed: atomic<u32>;
+
+// Quarters what rays contradict, after all updates: a block a workgroup, in turns; of a block that the scan updated the voxels that
+// are passed, of another one all, if some are.
+@compute @workgroup_size(64)
+fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    if lane == 0u {
+        count = select(0u, min(atomicLoad(&state.blocks), state.capacity), atomicLoad(&state.flags) == 0u);
+    }
+    let blocks_there = workgroupUniformLoad(&count);
+    let voxel_size_m = 1.0 / frame.voxels_per_m;
+    let inside = INSIDE / frame.truncation_vox;
+    for (var slot = group.x; slot < blocks_there; slot += groups.x) {
+        let index = blocks[slot].index;
+        let is_updated = atomicLoad(&blocks[slot].stamp) == frame.stamp;
+        let number = u32(index.x + index.y + index.z) + frame.stamp;
+        let corner = corner_of(index);
+        if lane == 0u {
+            atomicStore(&passed, 0u);
+        }
+        workgroupBarrier();
+        // One bit a voxel of this thread.
+        var here = 0u;
+        if number % select(TURNS, TURNS_UPDATED, is_updated) == 0u && may_be_passed(corner, voxel_size_m) {
+            for (var k = 0u; k < 8u; k++) {
+                let voxel = load_voxel(slot, lane + 64u * k);
+                // Also false where nothing was observed.
+                if f32(bitcast<i32>(voxel.y)) < -inside * f32(voxel.x) {
+                    let at = vec3<f32>(vec3(lane & 7u, lane >> 3u, k)) + 0.5;
+                    here |= u32(is_passed((corner + at) * voxel_size_m, voxel_size_m)) << k;
+                }
+            }
+            atomicAdd(&passed, countOneBits(here));
+        }
+        workgroupBarrier();
+        let is_doubted = !is_updated && atomicLoad(&passed) >= MIN_PASSED;
+        let changed = select(select(0u, 255u, is_doubted), here, is_updated);
+        for (var k = 0u; k < 8u; k++) {
+            if (changed >> k & 1u) == 1u {
+                let local = lane + 64u * k;
+                store_voxel(slot, local, quarter(load_voxel(slot, local)));
+            }
+        }
+        if is_doubted && lane == 0u {
+            state.list[atomicAdd(&state.updated, 1u)] = slot;
+        }
+        workgroupBarrier();
+    }
+}

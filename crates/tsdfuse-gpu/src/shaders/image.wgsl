@@ -1,0 +1,198 @@
+// The organized image of a scan: which return was measured by which laser at which firing. See `tsdfuse::sensor::image`, whose cells
+// these are. Cells go ring by ring; columns wrap around.
+
+struct Cell {
+    // In world axes relative to the anchor, metres.
+    point: vec3<f32>,
+    // The return; INVALID if it has no place, NONE if there is none.
+    i: u32,
+}
+
+// Where a return is seen.
+struct Place {
+    // In columns; below 0 for a return that has none.
+    azimuth: f32,
+    // Or NONE.
+    cell: u32,
+}
+
+// Who wants a cell; all bits are flipped, so that the least wins by `atomicMax`, and 0 is none.
+struct Offer {
+    // How far the nearest return is from its middle, columns.
+    off: atomic<u32>,
+    // The first of these returns, and the first that would move there from a cell beside.
+    nearest: atomic<u32>,
+    aside: atomic<u32>,
+}
+
+struct Ring {
+    // Returns by the part of a column.
+    bins: array<atomic<u32>, PHASE_BINS>,
+    // Their circular mean, in columns.
+    phase: f32,
+}
+
+@group(1) @binding(2) var<storage, read_write> cells: array<Cell>;
+@group(1) @binding(3) var<storage, read_write> places: array<Place>;
+@group(1) @binding(4) var<storage, read_write> offers: array<Offer>;
+@group(1) @binding(5) var<storage, read_write> rings: array<Ring>;
+
+const INVALID: u32 = 0xfffffffeu;
+
+// The cell of a return, or NONE.
+fn cell_of(i: u32) -> u32 {
+    return places[i].cell;
+}
+
+// Whether a cell has a return with a place.
+fn is_there(cell: Cell) -> bool {
+    return cell.i < INVALID;
+}
+
+// The column beside one.
+fn next_column(column: u32) -> u32 {
+    return select(column + 1u, 0u, column + 1u == frame.columns);
+}
+
+fn column_before(column: u32) -> u32 {
+    return select(column, frame.columns, column == 0u) - 1u;
+}
+
+// From where the ray of a cell's return came.
+fn origin_of(cell: Cell) -> vec3<f32> {
+    if frame.times_at == 0u {
+        return vec3(0.0);
+    }
+    return frame.velocity * bitcast<f32>(returns[frame.times_at + cell.i]);
+}
+
+// Two rings a word.
+fn ring_of(i: u32) -> u32 {
+    return returns[frame.rings_at + i / 2u] >> (16u * (i & 1u)) & 0xffffu;
+}
+
+@compute @workgroup_size(64)
+fn find_azimuths(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var i = id.x; i < frame.total; i += 64u * groups.x) {
+        let p = point_of(i);
+        let ring = ring_of(i);
+        places[i] = Place(-1.0, NONE);
+        if ring >= frame.rings || !is_finite(bitcast<vec3<u32>>(p)) || all(p == vec3(0.0)) {
+            continue;
+        }
+        let column = -arc_tangent2(p.y, p.x) * frame.columns_per_rad;
+        let azimuth = select(column, column + f32(frame.columns), column < 0.0);
+        places[i].azimuth = azimuth;
+        atomicAdd(&rings[ring].bins[u32(azimuth * f32(PHASE_BINS)) % PHASE_BINS], 1u);
+    }
+}
+
+// cos((k + ½)·π/16); PHASE_BINS is 32.
+const COSINES = array(0.9951847, 0.95694035, 0.8819213, 0.77301043, 0.6343933, 0.47139674, 0.29028466, 0.09801714);
+
+// Returns of a bin, less those of the one half a column on.
+fn more_than_opposite(ring: u32, bin: u32) -> i32 {
+    let opposite = (bin + PHASE_BINS / 2u) % PHASE_BINS;
+    return i32(atomicLoad(&rings[ring].bins[bin])) - i32(atomicLoad(&rings[ring].bins[opposite]));
+}
+
+// Counts of bins whose cosines are alike are added as integers, so that what cancels does so exactly.
+@compute @workgroup_size(64)
+fn find_phases(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var ring = id.x; ring < frame.rings; ring += 64u * groups.x) {
+        var sum = vec2(0.0);
+        for (var k = 0u; k < 8u; k++) {
+            let a = more_than_opposite(ring, k);
+            let b = more_than_opposite(ring, 15u - k);
+            sum += vec2(f32(a - b) * COSINES[k], f32(a + b) * COSINES[7u - k]);
+        }
+        rings[ring].phase = arc_tangent2(sum.y, sum.x) / (2.0 * PI);
+    }
+}
+
+// The cell that a return wants.
+struct Wish {
+    ring: u32,
+    // One too many at the end of a turn.
+    column: u32,
+    cell: u32,
+    // How far it is beyond the cell's middle, in columns.
+    off: f32,
+}
+
+fn wish_of(i: u32) -> Wish {
+    let ring = ring_of(i);
+    let shifted = places[i].azimuth - rings[ring].phase;
+    let column = u32(shifted + 0.5);
+    let cell = ring * frame.columns + select(0u, column, column < frame.columns);
+    return Wish(ring, column, cell, shifted - f32(column));
+}
+
+fn has_azimuth(i: u32) -> bool {
+    return places[i].azimuth >= 0.0;
+}
+
+// The return nearest to the middle of a cell gets it, …
+@compute @workgroup_size(64)
+fn offer_cells(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var i = id.x; i < frame.total; i += 64u * groups.x) {
+        if has_azimuth(i) {
+            let wish = wish_of(i);
+            atomicMax(&offers[wish.cell].off, ~bitcast<u32>(abs(wish.off)));
+        }
+    }
+}
+
+// … the first of several; …
+@compute @workgroup_size(64)
+fn choose_nearest(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var i = id.x; i < frame.total; i += 64u * groups.x) {
+        if has_azimuth(i) {
+            let wish = wish_of(i);
+            if atomicLoad(&offers[wish.cell].off) == ~bitcast<u32>(abs(wish.off)) {
+                atomicMax(&offers[wish.cell].nearest, ~i);
+            }
+        }
+    }
+}
+
+// … others move to the cell on their side, if that is empty and they are of another firing.
+@compute @workgroup_size(64)
+fn move_aside(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var i = id.x; i < frame.total; i += 64u * groups.x) {
+        if !has_azimuth(i) {
+            continue;
+        }
+        let wish = wish_of(i);
+        let winner = ~atomicLoad(&offers[wish.cell].nearest);
+        if winner == i {
+            continue;
+        }
+        let side = select(wish.column + frame.columns - 1u, wish.column + 1u, wish.off > 0.0) % frame.columns;
+        let free = wish.ring * frame.columns + side;
+        let apart = abs(places[winner].azimuth - places[i].azimuth);
+        if atomicLoad(&offers[free].nearest) == 0u && min(apart, f32(frame.columns) - apart) > SAME_FIRING {
+            atomicMax(&offers[free].aside, ~i);
+        }
+    }
+}
+
+// Fills and places all cells.
+@compute @workgroup_size(64)
+fn place_cells(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var cell = id.x; cell < frame.rings * frame.columns; cell += 64u * groups.x) {
+        let nearest = atomicLoad(&offers[cell].nearest);
+        // ~0 is NONE.
+        let i = ~select(nearest, atomicLoad(&offers[cell].aside), nearest == 0u);
+        if i == NONE {
+            cells[cell].i = NONE;
+            continue;
+        }
+        places[i].cell = cell;
+        if is_valid(i) {
+            cells[cell] = Cell(place(i).point, i);
+        } else {
+            cells[cell].i = INVALID;
+        }
+    }
+}

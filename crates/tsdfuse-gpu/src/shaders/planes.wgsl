@@ -1,0 +1,249 @@
+// The plane that each return lies on, from the returns in a window about its cell: see `tsdfuse::patch`, and `constants` for what is
+// tuned there.
+
+// The tangent of the angle between a ring and the next.
+fn ring_gap(ring: u32) -> f32 {
+    return bitcast<f32>(returns[frame.gaps_at + ring]);
+}
+
+struct Patch {
+    // Where the surface is, world axes relative to the anchor, metres.
+    center: vec3<f32>,
+    // 1 if it takes the whole window.
+    whole: u32,
+    // Towards the sensor; zero where there is no plane.
+    normal: vec3<f32>,
+}
+
+@group(1) @binding(6) var<storage, read_write> patches: array<Patch>;
+// The standard deviation of ranges, then the squared noise that windows tell of; infinite where they tell nothing.
+@group(1) @binding(7) var<storage, read_write> noise: array<u32>;
+
+const INFINITE: u32 = 0x7f800000u;
+
+fn is_plane(surface: Patch) -> bool {
+    return any(surface.normal != vec3(0.0));
+}
+
+// The standard deviation of ranges, metres.
+fn noise_m() -> f32 {
+    if frame.noise_m > 0.0 {
+        return frame.noise_m;
+    }
+    return bitcast<f32>(noise[0]);
+}
+
+// A window about a cell, as far as it reaches to lower rings, higher ones, lower columns and higher ones.
+struct Window {
+    ring: u32,
+    column: u32,
+    reach: vec4<u32>,
+}
+
+// Which sides of a window a half of it takes.
+const HALVES = array(vec4(1u, 1u, 1u, 0u), vec4(1u, 1u, 0u, 1u), vec4(1u, 0u, 1u, 1u), vec4(0u, 1u, 1u, 1u));
+
+fn window_about(cell: u32, range_m: f32) -> Window {
+    let ring = cell / frame.columns;
+    let steps = max(vec2(ring_gap(ring), frame.column_rad), vec2(1e-4)) * max(range_m, 1e-30);
+    let most = vec2(f32(MAX_RINGS), f32(MAX_COLUMNS));
+    let far = vec2<u32>(clamp(frame.window_m / steps + 0.5, vec2(1.0), most));
+    let reach = vec4(min(far.x, ring), min(far.x, frame.rings - 1u - ring), far.y, far.y);
+    return Window(ring, cell % frame.columns, reach);
+}
+
+// Least squares over the returns of a window: see `tsdfuse::patch::plane`.
+struct Plane {
+    normal: vec3<f32>,
+    // From the return in the middle.
+    mean: vec3<f32>,
+    residual2: f32,
+    spread2: f32,
+    count: f32,
+}
+
+// The sums are taken relative to the return in the middle, so that they have no large parts to cancel.
+fn plane_of(window: Window, middle: vec3<f32>) -> Plane {
+    var count = 0.0;
+    var sum = vec3(0.0);
+    var squares = vec3(0.0); // xx, yy, zz
+    var products = vec3(0.0); // xy, xz, yz
+    let left = (window.column + MAX_COLUMNS * frame.columns - window.reach.z) % frame.columns;
+    for (var ring = window.ring - window.reach.x; ring <= window.ring + window.reach.y; ring++) {
+        var column = left;
+        for (var n = 0u; n <= window.reach.z + window.reach.w; n++) {
+            let cell = cells[ring * frame.columns + column];
+            if is_there(cell) {
+                let p = cell.point - middle;
+                count += 1.0;
+                sum += p;
+                squares += p * p;
+                products += p.xxy * p.yzz;
+            }
+            column = next_column(column);
+        }
+    }
+    let inverse = 1.0 / max(count, 1.0);
+    let mean = sum * inverse;
+    return fit(Symmetric(squares * inverse - mean * mean, products * inverse - mean.xxy * mean.yzz), mean, count);
+}
+
+// A symmetric matrix: xx, yy, zz and xy, xz, yz.
+struct Symmetric {
+    diagonal: vec3<f32>,
+    beside: vec3<f32>,
+}
+
+// The columns of a symmetric matrix.
+fn columns_of(m: Symmetric) -> mat3x3<f32> {
+    let b = m.beside;
+    return mat3x3(vec3(m.diagonal.x, b.xy), vec3(b.x, m.diagonal.y, b.z), vec3(b.yz, m.diagonal.z));
+}
+
+// The square, scaled to a trace of 1 before.
+fn squared(m: Symmetric) -> Symmetric {
+    let scale = 1.0 / max(m.diagonal.x + m.diagonal.y + m.diagonal.z, 1e-37);
+    let c = columns_of(Symmetric(m.diagonal * scale, m.beside * scale));
+    return Symmetric(vec3(dot(c[0], c[0]), dot(c[1], c[1]), dot(c[2], c[2])), vec3(dot(c[0], c[1]), dot(c[0], c[2]), dot(c[1], c[2])));
+}
+
+// The plane of a covariance: its normal is the least eigenvalue's vector, the only one that is left in a high power of the cofactors.
+fn fit(covariance: Symmetric, mean: vec3<f32>, count: f32) -> Plane {
+    let d = covariance.diagonal;
+    let b = covariance.beside;
+    let cofactors = Symmetric(d.yxx * d.zzy - b.zyx * b.zyx, b.yxx * b.zzy - b.xyz * d.zyx);
+    let power = squared(squared(squared(cofactors)));
+    let c = columns_of(power);
+    let p = power.diagonal;
+    let longest = select(select(c[2], c[1], p.y >= p.z), c[0], p.x >= p.y && p.x >= p.z);
+    let normal = longest / max(length(longest), 1e-37);
+    let least = max(dot(columns_of(covariance) * normal, normal), 0.0);
+    // The two other eigenvalues have this sum and this product.
+    let sum = d.x + d.y + d.z - least;
+    let product = cofactors.diagonal.x + cofactors.diagonal.y + cofactors.diagonal.z - least * sum;
+    let greater = 0.5 * (sum + sqrt(max(sum * sum - 4.0 * product, 0.0)));
+    return Plane(normal, mean, least * count / max(count - 3.0, 1.0), product / max(greater, 1e-37), count);
+}
+
+// A return's patch, and its mean squared residual; infinite where the plane is no surface that it lies on.
+struct Found {
+    surface: Patch,
+    residual2: f32,
+}
+
+fn judge(plane: Plane, point: vec3<f32>, ray: vec3<f32>) -> Found {
+    let facing = dot(ray, plane.normal);
+    let off = dot(plane.normal, plane.mean);
+    let cosine2 = facing * facing / max(dot(ray, ray), 1e-37);
+    let noise2 = noise_m() * noise_m();
+    // What is expected across the plane: of the noise, what does not lie along it.
+    let noise2_across = noise2 * cosine2;
+    let expected2 = noise2_across + ROUGHNESS_M * ROUGHNESS_M;
+    let is_surface = plane.count >= MIN_RETURNS
+        && plane.residual2 <= MAX_RESIDUAL * MAX_RESIDUAL * expected2
+        && off * off <= MAX_OFF * MAX_OFF * expected2
+        && plane.spread2 >= MIN_SPREAD * MIN_SPREAD * max(plane.residual2, noise2)
+        && cosine2 >= MIN_COSINE * MIN_COSINE;
+    if !is_surface {
+        return Found(Patch(point, 0u, vec3(0.0)), bitcast<f32>(INFINITE));
+    }
+    let normal = select(plane.normal, -plane.normal, facing > 0.0);
+    // Of what is off the plane, noise goes, and shape stays.
+    let noise = min(noise2_across / max(plane.residual2, 1e-37), 1.0);
+    return Found(Patch(point + plane.normal * (noise * off), 0u, normal), plane.residual2);
+}
+
+// The squared noise that the windows of some returns tell of.
+@compute @workgroup_size(64)
+fn sample_noise(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var n = id.x; n * SAMPLE < frame.total; n += 64u * groups.x) {
+        noise[n + 1u] = INFINITE;
+        let i = cell_of(n * SAMPLE);
+        if i == NONE || !is_there(cells[i]) {
+            continue;
+        }
+        let point = cells[i].point;
+        let ray = point - origin_of(cells[i]);
+        let range_m = length(ray);
+        let plane = plane_of(window_about(i, range_m), point);
+        let cosine = dot(ray, plane.normal) / max(range_m, 1e-30);
+        if plane.count >= MIN_TELLING && abs(cosine) >= FACING {
+            noise[n + 1u] = bitcast<u32>(abs(plane.residual2 / (cosine * cosine)));
+        }
+    }
+}
+
+var<workgroup> histogram: array<atomic<u32>, 256>;
+// The bits that are known of the value that is looked for, and how many of those that share them are below it.
+var<workgroup> known: u32;
+var<workgroup> below: u32;
+
+// The third of the windows with the least noise are surface: its largest one counts. Bits of a number that is not negative
+// are in its order, so it is found eight bits after eight bits.
+@compute @workgroup_size(256)
+fn choose_noise(@builtin(local_invocation_index) lane: u32) {
+    let count = (frame.total + SAMPLE - 1u) / SAMPLE;
+    for (var n = lane; n < count; n += 256u) {
+        atomicAdd(&histogram[0], select(0u, 1u, noise[n + 1u] < INFINITE));
+    }
+    workgroupBarrier();
+    let telling = atomicLoad(&histogram[0]);
+    if lane == 0u {
+        below = telling / 3u;
+    }
+    for (var shift = 32u; shift > 0u; ) {
+        shift -= 8u;
+        workgroupBarrier();
+        atomicStore(&histogram[lane], 0u);
+        workgroupBarrier();
+        for (var n = lane; n < count; n += 256u) {
+            let bits = noise[n + 1u];
+            // No shift by 32 bits.
+            if bits < INFINITE && (bits >> shift) >> 8u == (known >> shift) >> 8u {
+                atomicAdd(&histogram[bits >> shift & 255u], 1u);
+            }
+        }
+        workgroupBarrier();
+        var fewer = 0u;
+        for (var b = 0u; b < lane; b++) {
+            fewer += atomicLoad(&histogram[b]);
+        }
+        let wanted = below;
+        workgroupBarrier();
+        if fewer <= wanted && wanted < fewer + atomicLoad(&histogram[lane]) {
+            known |= lane << shift;
+            below = wanted - fewer;
+        }
+    }
+    workgroupBarrier();
+    if lane == 0u {
+        let told = clamp(sqrt(bitcast<f32>(known)), LEAST_NOISE_M, MOST_NOISE_M);
+        noise[0] = bitcast<u32>(select(told, MOST_NOISE_M, telling == 0u));
+    }
+}
+
+// The patch of each cell's return: of its whole window, or else of the half with the least residual.
+@compute @workgroup_size(64)
+fn find_planes(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var i = id.x; i < frame.rings * frame.columns; i += 64u * groups.x) {
+        let cell = cells[i];
+        if !is_there(cell) {
+            patches[i].normal = vec3(0.0);
+            continue;
+        }
+        let ray = cell.point - origin_of(cell);
+        let window = window_about(i, length(ray));
+        var best = judge(plane_of(window, cell.point), cell.point, ray);
+        best.surface.whole = 1u;
+        if !is_plane(best.surface) {
+            for (var k = 0; k < 4; k++) {
+                let half = Window(window.ring, window.column, window.reach * HALVES[k]);
+                let found = judge(plane_of(half, cell.point), cell.point, ray);
+                if found.residual2 < best.residual2 {
+                    best = found;
+                }
+            }
+        }
+        patches[i] = best.surface;
+    }
+}
