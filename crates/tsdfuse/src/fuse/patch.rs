@@ -53,7 +53,7 @@ pub const BETWEEN_WEIGHT: f32 = 0.5;
 pub const RAY_WEIGHT: f32 = 0.1;
 
 /// How far the line of a return reaches that stands alone: this many times the distance to the next ring.
-pub const LONE_REACH: f32 = 3.0;
+pub const LONE_REACH: f32 = 2.0;
 
 /// Options of [`Patch`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
