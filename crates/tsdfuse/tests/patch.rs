@@ -191,7 +191,7 @@ fn blocks_that_changed_are_told_once() {
 
 #[test]
 fn only_returns_that_stand_alone_reach_far() {
-    // One return in each twentieth column of a ring: none has a neighbour. Rings are 2° apart: 70 cm far away, 4 cm near by.
+    // One return in each twentieth column of a ring: none has a neighbour. Rings are 2° apart: 70 cm far away, 2 cm near by.
     let alone = |range: f32| {
         let sensor = sensor();
         let ring = sensor.elevations_deg.iter().position(|e| *e == 1.0).unwrap() as u16;
@@ -218,7 +218,7 @@ fn only_returns_that_stand_alone_reach_far() {
             .filter(|&m| points.iter().any(|p| observed(p, m)))
             .fold(0.0, f32::max)
     };
-    let (far, near) = (alone(20.0), alone(1.2));
+    let (far, near) = (alone(20.0), alone(0.7));
     assert!((0.19..0.26).contains(&far), "{far}");
     assert!((0.07..0.14).contains(&near), "{near}");
 
