@@ -19,6 +19,7 @@ pub(crate) fn command(arguments: &[&str]) -> Command {
     command
         .args(arguments)
         .env_remove("COLUMNS")
+        .env("XDG_RUNTIME_DIR", std::env::temp_dir()) // without it Mesa adds lines to what is told
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
