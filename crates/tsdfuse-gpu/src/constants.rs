@@ -16,6 +16,7 @@ pub(crate) static CONSTANTS: LazyLock<String> = LazyLock::new(|| {
     }
     let [least, most] = twin::NOISE_M;
     let [turns, turns_updated] = twin::TURNS;
+    let [left, left_updated] = twin::LEFT;
     let lengths = named!(MIN_RETURNS MAX_RESIDUAL MAX_OFF ROUGHNESS_M MIN_SPREAD MIN_COSINE MIN_TELLING FACING MIN_DOT
         MAX_OFF_BETWEEN FRONT BEHIND FULL_BEHIND BETWEEN_WEIGHT RAY_WEIGHT LONE_REACH INSIDE BESIDE MARGIN BINS_PER_RAD SAME_FIRING);
     let counts =
@@ -30,6 +31,7 @@ pub(crate) static CONSTANTS: LazyLock<String> = LazyLock::new(|| {
         text("f32", &[("LEAST_NOISE_M", least), ("MOST_NOISE_M", most)]),
         text("u32", &counts),
         text("u32", &others),
+        text("i32", &[("LEFT", left), ("LEFT_UPDATED", left_updated)]),
     ]
     .concat()
 });

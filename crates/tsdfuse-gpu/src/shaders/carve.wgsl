@@ -49,15 +49,16 @@ fn is_passed(center: vec3<f32>, voxel_size_m: f32) -> bool {
     return false;
 }
 
-// A quarter of both sums, or nothing of what is left.
-fn quarter(voxel: vec2<u32>) -> vec2<u32> {
-    return select(vec2(voxel.x / 4u, bitcast<u32>(bitcast<i32>(voxel.y) / 4)), vec2(0u), voxel.x / 4u < FORGOTTEN);
+// A part of both sums, or nothing of what is left.
+fn fade(voxel: vec2<u32>, divisor: i32) -> vec2<u32> {
+    let weight = voxel.x / u32(divisor);
+    return select(vec2(weight, bitcast<u32>(bitcast<i32>(voxel.y) / divisor)), vec2(0u), weight < FORGOTTEN);
 }
 
 var<workgroup> count: u32;
 var<workgroup> passed: atomic<u32>;
 
-// Quarters what rays contradict, after all updates: a block a workgroup, in turns; of a block that the scan updated the voxels that
+// Fades what rays contradict, after all updates: a block a workgroup, in turns; of a block that the scan updated the voxels that
 // are passed, of another one all, if some are.
 @compute @workgroup_size(64)
 fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -95,7 +96,7 @@ fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
         for (var k = 0u; k < 8u; k++) {
             if (changed >> k & 1u) == 1u {
                 let local = lane + 64u * k;
-                store_voxel(slot, local, quarter(load_voxel(slot, local)));
+                store_voxel(slot, local, fade(load_voxel(slot, local), select(LEFT, LEFT_UPDATED, is_updated)));
             }
         }
         if is_doubted && lane == 0u {

@@ -1,7 +1,7 @@
 //! Free space: what rays pass through is not surface, however often it was seen there before.
 //!
 //! Surface that moved on leaves a shell behind, whose voxels the map takes to lie inside of something (F < 0). A ray of a later
-//! scan that passes such a voxel and ends well behind it contradicts this; then both of the voxel's sums are quartered. F stays
+//! scan that passes such a voxel and ends well behind it contradicts this; then a part of both of the voxel's sums is left. F stays
 //! as it is, so that a surface that is contradicted once in a while (by a wrong pose, a wet floor) does not move; one that is
 //! contradicted again and again, and seen no more, is forgotten.
 
@@ -37,7 +37,10 @@ pub const MARGIN: f32 = 2.5;
 pub const FORGOTTEN: u32 = WEIGHT_SCALE / 100;
 
 /// A block is looked at in one of this many scans: one that the scan did not update, and one that it did.
-pub const TURNS: [u32; 2] = [1, 8];
+pub const TURNS: [u32; 2] = [2, 8];
+
+/// What is left of sums that are contradicted, as a divisor: in a block that the scan did not update, and in one that it did.
+pub const LEFT: [i32; 2] = [16, 4];
 
 /// Of a block that a scan did not update, this many voxels passed make that all of it is doubted.
 pub const MIN_PASSED: usize = 3;
@@ -63,7 +66,7 @@ pub(super) struct Carver {
 }
 
 impl Carver {
-    /// Quarters what the rays of a scan contradict; to be called after its surface was fused. Tells which blocks changed that
+    /// Fades what the rays of a scan contradict; to be called after its surface was fused. Tells which blocks changed that
     /// the scan has not updated.
     pub(super) fn carve(&mut self, map: &mut VoxelMap, seen: &Seen<'_>, sensor: &SensorModel) -> Vec<BlockIndex> {
         self.measure(sensor);
@@ -158,8 +161,13 @@ impl Carver {
         for row in 0..BLOCK_EDGE * BLOCK_EDGE {
             let (y, z) = (row % BLOCK_EDGE, row / BLOCK_EDGE);
             let start = ROW * row as usize;
+            let row = &block.voxels[start..start + ROW];
+            // The sign of the sum is that of F.
+            if row.iter().fold(0, |signs, voxel| signs | voxel.distance_sum) >= 0 {
+                continue;
+            }
             let mut deep = 0;
-            for (x, voxel) in block.voxels[start..start + ROW].iter().enumerate() {
+            for (x, voxel) in row.iter().enumerate() {
                 // Also false where nothing was observed.
                 let is_deep = (voxel.distance_sum as f32) < -inside * voxel.weight_sum as f32;
                 deep |= u32::from(is_deep) << x;
@@ -175,9 +183,9 @@ impl Carver {
                 }
                 passed += 1;
                 if !whole {
-                    quarter(&mut block.voxels[start + x]);
+                    fade(&mut block.voxels[start + x], LEFT[1]);
                 } else if passed == MIN_PASSED {
-                    block.voxels.iter_mut().for_each(quarter);
+                    block.voxels.iter_mut().for_each(|voxel| fade(voxel, LEFT[0]));
                     return true;
                 }
             }
@@ -227,11 +235,11 @@ fn is_passed(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> bool {
     false
 }
 
-/// Leaves a quarter of both sums.
-fn quarter(voxel: &mut Voxel) {
+/// Leaves a part of both sums.
+fn fade(voxel: &mut Voxel, divisor: i32) {
     *voxel = Voxel {
-        weight_sum: voxel.weight_sum / 4,
-        distance_sum: voxel.distance_sum / 4,
+        weight_sum: voxel.weight_sum / divisor as u32,
+        distance_sum: voxel.distance_sum / divisor,
     };
     if voxel.weight_sum < FORGOTTEN {
         *voxel = Voxel::default();

@@ -55,6 +55,9 @@ pub(crate) trait Rule: Sync {
     /// Where all voxels lie that are updated.
     const SHAPE: Shape;
 
+    /// How many planes of voxels most lines pass: with half of the lanes' number, voxels are taken two by two.
+    const PLANES: Planes = Planes::Eight;
+
     /// Prepares for one line; what is returned tells for voxels near it which of them are updated (none farther than √3/2 from
     /// the line, nor than its reach along it), with what distance over μ, and with what weight.
     fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>);
@@ -110,6 +113,15 @@ impl Shape {
     }
 }
 
+/// How many planes across a line's dominant axis are looked at together.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Planes {
+    /// One lane each.
+    Eight,
+    /// Two lanes each, for two voxels of each plane.
+    Four,
+}
+
 /// The voxels beside a line in a plane, two or three wide along one axis and along the other: in one list, since the end of a
 /// loop in a loop is guessed wrong more often.
 const BESIDE: [[&[[usize; 2]]; 2]; 2] = [
@@ -122,6 +134,35 @@ const BESIDE: [[&[[usize; 2]]; 2]; 2] = [
         &[[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1], [0, 2], [1, 2], [2, 2]],
     ],
 ];
+
+/// As [`BESIDE`], but of pairs of voxels: how many along the one axis, and along the other. (Four along is farther than any.)
+const PAIRS: [[&[[[f32; 2]; 2]]; 2]; 2] = [
+    [
+        &[[[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [1.0, 1.0]]],
+        &[
+            [[0.0, 0.0], [0.0, 1.0]],
+            [[1.0, 1.0], [0.0, 1.0]],
+            [[2.0, 2.0], [0.0, 1.0]],
+        ],
+    ],
+    [
+        &[
+            [[0.0, 1.0], [0.0, 0.0]],
+            [[0.0, 1.0], [1.0, 1.0]],
+            [[0.0, 1.0], [2.0, 2.0]],
+        ],
+        &[
+            [[0.0, 1.0], [0.0, 0.0]],
+            [[0.0, 1.0], [1.0, 1.0]],
+            [[0.0, 1.0], [2.0, 2.0]],
+            [[2.0, 2.0], [0.0, 1.0]],
+            [[2.0, 2.0], [2.0, 4.0]],
+        ],
+    ],
+];
+
+/// How many items ahead memory is asked for.
+const AHEAD: usize = 16;
 
 /// Voxels along the edge of a region.
 const REGION_EDGE: i32 = 1 << REGION_SHIFT;
@@ -177,11 +218,12 @@ impl Lines {
     }
 
     /// Makes a line of each of some items, or tells why there is none, and updates their voxels. It is faster if items that
-    /// follow each other are neighbours.
+    /// follow each other are neighbours. `ask` tells what it is made of, some items ahead, so that memory is asked for.
     pub(crate) fn run<R: Rule>(
         &mut self,
         map: &mut VoxelMap,
         items: &[u32],
+        ask: impl Fn(usize) + Sync,
         make: impl Fn(usize) -> Result<Line, Skip> + Sync,
         rule: &R,
     ) -> Integration {
@@ -190,7 +232,11 @@ impl Lines {
         let level = self.level;
         self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
             lane.clear();
-            dispatch!(level, _ => for &i in &items[items.len() * k / LANES..items.len() * (k + 1) / LANES] {
+            let items = &items[items.len() * k / LANES..items.len() * (k + 1) / LANES];
+            dispatch!(level, _ => for (k, &i) in items.iter().enumerate() {
+                if let Some(&later) = items.get(k + AHEAD) {
+                    ask(later as usize);
+                }
                 let line = make(i as usize);
                 lane.counts.count(line.map(|_| ()));
                 if let Ok(line) = line {
@@ -431,33 +477,27 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
 
     let wide_u = R::SHAPE.wide([axis[M], axis[U], axis[W]]);
     let wide_w = R::SHAPE.wide([axis[M], axis[W], axis[U]]);
-    let beside = BESIDE[wide_w - 2][wide_u - 2];
     let reach = R::SHAPE.reach(axis[M], line.reach);
     let mut plane = round(fraction[M] - reach).max(-center[M]);
     let last = round(fraction[M] + reach - 1.0).min(REGION_EDGE - 1 - center[M]);
+    let (planes, count) = match R::PLANES {
+        Planes::Eight => ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], 8),
+        Planes::Four => ([0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0], 4),
+    };
     while plane <= last {
-        // Coordinates relative to the centre's voxel: of eight planes, of the first voxels beside the line there.
-        let planes = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) + plane as f32;
+        // Coordinates relative to the centre's voxel: of the planes, of the first voxels beside the line there.
+        let planes = f32x8::simd_from(simd, planes) + plane as f32;
         let m = Places::<S, M>::of(planes + ROUND, fraction[M], axis[M], center[M]);
         let t = m.offset * slope;
         let first = |u: usize, wide: usize| t * axis[u] + (fraction[u] - 0.5 * wide as f32) + ROUND;
         let (u, w) = (first(U, wide_u), first(W, wide_w));
-        let u = [
-            Places::<S, U>::of(u, fraction[U], axis[U], center[U]),
-            Places::<S, U>::of(u + 1.0, fraction[U], axis[U], center[U]),
-            Places::<S, U>::of(u + 2.0, fraction[U], axis[U], center[U]),
-        ];
-        let w = [
-            Places::<S, W>::of(w, fraction[W], axis[W], center[W]),
-            Places::<S, W>::of(w + 1.0, fraction[W], axis[W], center[W]),
-            Places::<S, W>::of(w + 2.0, fraction[W], axis[W], center[W]),
-        ];
+        let place_u = |steps| Places::<S, U>::of(u + steps, fraction[U], axis[U], center[U]);
+        let place_w = |steps| Places::<S, W>::of(w + steps, fraction[W], axis[W], center[W]);
 
         if writer.queue.found - writer.queue.asked > BURST {
             writer.ask(region);
         }
-        for &[j, i] in beside {
-            let (u, w) = (&u[j], &w[i]);
+        let mut find = |u: &Places<S, U>, w: &Places<S, W>| {
             let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
                 let mut of = [m; 3];
                 (of[U], of[W]) = (u, w);
@@ -479,8 +519,24 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
             let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
             let address = m.address | u.address | w.address;
             writer.queue.push(updated, address, weight, distance);
+        };
+        let splat = |steps: f32| f32x8::splat(simd, steps);
+        match R::PLANES {
+            Planes::Eight => {
+                let u = [place_u(splat(0.0)), place_u(splat(1.0)), place_u(splat(2.0))];
+                let w = [place_w(splat(0.0)), place_w(splat(1.0)), place_w(splat(2.0))];
+                for &[j, i] in BESIDE[wide_w - 2][wide_u - 2] {
+                    find(&u[j], &w[i]);
+                }
+            }
+            Planes::Four => {
+                let pair = |[a, b]: [f32; 2]| f32x8::simd_from(simd, [a, a, a, a, b, b, b, b]);
+                for &[j, i] in PAIRS[wide_w - 2][wide_u - 2] {
+                    find(&place_u(pair(j)), &place_w(pair(i)));
+                }
+            }
         }
-        plane += 8;
+        plane += count;
     }
 }
 
@@ -564,7 +620,7 @@ mod tests {
     fn fused(level: Level, lines: &[Line], config: MapConfig, rule: &impl Rule) -> (VoxelMap, Integration) {
         let mut map = VoxelMap::new(config).unwrap();
         let all: Vec<u32> = (0..lines.len() as u32).collect();
-        let done = Lines::with(level).run(&mut map, &all, |i| Ok(lines[i]), rule);
+        let done = Lines::with(level).run(&mut map, &all, |_| (), |i| Ok(lines[i]), rule);
         (map, done)
     }
 

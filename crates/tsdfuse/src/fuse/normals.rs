@@ -21,6 +21,7 @@ use super::{
 };
 use crate::{
     map::VoxelMap,
+    memory::prefetch,
     normals::{Normal, NormalsConfig, estimate},
     scan::Scan,
     sensor::{ScanImage, SensorModel, approx::acos_f32, rings_of},
@@ -78,6 +79,11 @@ impl Integrator for Normals {
         let integration = self.lines.run(
             map,
             &placed.order.numbers,
+            #[inline(always)]
+            |i| {
+                prefetch(&placed.points[i]);
+                prefetch(&normals[i]);
+            },
             #[inline(always)]
             |i| {
                 let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;

@@ -23,11 +23,12 @@ use super::{
     cylinder::{Row, VOXEL_RADIUS},
     depth::world_axes,
     gather::Skip,
-    lines::{Line, Lines, Rule, Shape},
+    lines::{Line, Lines, Planes, Rule, Shape},
     placed::{Order, Placed},
 };
 use crate::{
     map::VoxelMap,
+    memory::prefetch,
     patch::{Limits, Patches},
     scan::Scan,
     sensor::{ScanImage, SensorModel},
@@ -175,6 +176,7 @@ impl Integrator for Patch {
         let mut done = self.lines.run(
             map,
             &self.order.numbers,
+            |i| prefetch(&patches[i]),
             #[inline(always)]
             |i| {
                 if is_ray(i) {
@@ -225,6 +227,9 @@ pub(super) struct AlongPatch {
 
 impl Rule for AlongPatch {
     const SHAPE: Shape = Shape::Cylinder;
+
+    // Most lines are short.
+    const PLANES: Planes = Planes::Four;
 
     #[inline(always)]
     fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {

@@ -27,7 +27,7 @@ use super::{
     pierced::pierced,
     placed::Placed,
 };
-use crate::{map::VoxelMap, scan::Scan};
+use crate::{map::VoxelMap, memory::prefetch, scan::Scan};
 
 /// The two forms of raycasting.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -79,6 +79,7 @@ impl Integrator for Raycast {
             Distance::Euclidean => lines.run(
                 map,
                 &placed.order.numbers,
+                |i| prefetch(&placed.points[i]),
                 #[inline(always)]
                 |i| along(placed, i, reach),
                 &Euclidean,
@@ -86,6 +87,7 @@ impl Integrator for Raycast {
             Distance::Projective => lines.run(
                 map,
                 &placed.order.numbers,
+                |i| prefetch(&placed.points[i]),
                 #[inline(always)]
                 |i| along(placed, i, reach),
                 &Projective,

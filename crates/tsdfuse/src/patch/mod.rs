@@ -4,6 +4,8 @@ mod between;
 mod plane;
 mod sums;
 
+use std::ops::Range;
+
 use fearless_simd::{Level, dispatch};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -86,8 +88,8 @@ pub const FACING: f32 = 0.5;
 /// … and is taken to be no less and no more than this, metres.
 pub const NOISE_M: [f32; 2] = [0.01, 0.03];
 
-/// Returns that one thread takes at a time.
-const PART: usize = 2048;
+/// Columns that one thread takes at a time.
+const PART: usize = 32;
 
 /// Finds the patches of a scan's returns. Reuse it from scan to scan: it keeps its buffers.
 #[derive(Debug, Default)]
@@ -95,8 +97,18 @@ pub(crate) struct Patches {
     sums: WindowSums,
     between: Between,
     noise: Vec<f32>,
+    parts: Vec<Part>,
     /// By return; then those between returns.
     pub(crate) all: Vec<Patch>,
+}
+
+/// What is found in some columns. Column by column, so that windows lie near those before them, in whatever order returns come.
+#[derive(Debug, Default)]
+struct Part {
+    /// Which returns there are; the patch of each; and which of them, by their place here, want halves of their windows.
+    returns: Vec<u32>,
+    patches: Vec<Patch>,
+    rest: Vec<usize>,
 }
 
 impl Patches {
@@ -130,10 +142,17 @@ impl Patches {
             scan.limits.noise_m = scan.noise_m(level, &mut self.noise);
         }
         let (scan, limits) = (&scan, &scan.limits);
-        let parts = self.all.par_chunks_mut(PART).enumerate();
-        parts.for_each_init(Vec::new, |rest, (part, out)| {
-            dispatch!(level, _ => scan.find(part * PART, out, rest));
+        self.parts.resize_with(image.columns().div_ceil(PART), Part::default);
+        self.parts.par_iter_mut().enumerate().for_each(|(k, part)| {
+            let columns = k * PART..((k + 1) * PART).min(image.columns());
+            dispatch!(level, _ => scan.find(columns, part));
         });
+        for Part { returns, patches, .. } in &self.parts {
+            returns
+                .iter()
+                .zip(patches)
+                .for_each(|(&i, &patch)| self.all[i as usize] = patch);
+        }
         self.between.append_to(&mut self.all, image, limits);
     }
 
@@ -207,39 +226,44 @@ impl Scan<'_> {
         }
     }
 
-    /// The patches of the returns from number `first` on; `rest` is a buffer.
+    /// The patches of the returns in some columns.
     #[inline(always)]
-    fn find(&self, first: usize, out: &mut [Patch], rest: &mut Vec<u32>) {
+    fn find(&self, columns: Range<usize>, part: &mut Part) {
+        let Part { returns, patches, rest } = part;
+        returns.clear();
+        for column in columns {
+            let cells = (0..self.image.rings()).filter_map(|ring| self.image.get(ring, column));
+            returns.extend(cells.map(|i| i as u32));
+        }
+        patches.clear();
+        patches.resize(returns.len(), Patch::default());
         rest.clear();
-        let mut start = 0;
-        while start < out.len() {
-            let count = (out.len() - start).min(LANES);
+        for (group, (returns, out)) in returns.chunks(LANES).zip(patches.chunks_mut(LANES)).enumerate() {
             let mut moments = Moments::NONE;
             let mut of = [NONE; LANES];
-            for (lane, of) in of.iter_mut().enumerate().take(count) {
-                let i = first + start + lane;
-                if let Some(around) = self.around(i) {
-                    *of = i as u32;
-                    moments.set(lane, &self.sums.of(around.window(WHOLE)), self.points[i]);
+            for (lane, &i) in returns.iter().enumerate() {
+                if let Some(around) = self.around(i as usize) {
+                    of[lane] = i;
+                    moments.set(lane, &self.sums.of(around.window(WHOLE)), self.points[i as usize]);
                 }
             }
             let found = self.judge(&moments, &of);
-            for lane in 0..count {
-                out[start + lane] = Patch {
+            for (lane, out) in out.iter_mut().enumerate() {
+                *out = Patch {
                     whole: true,
                     ..found.patches[lane]
                 };
-                if of[lane] != NONE && found.residual2[lane] == f32::INFINITY {
-                    rest.push(of[lane]);
+                if found.residual2[lane] == f32::INFINITY {
+                    rest.push(group * LANES + lane);
                 }
             }
-            start += LANES;
         }
         // Four returns at a time, each with four halves of its window.
         for few in rest.chunks(LANES / HALVES.len()) {
             let mut moments = Moments::NONE;
             let mut of = [NONE; LANES];
-            for (k, &i) in few.iter().enumerate() {
+            for (k, &place) in few.iter().enumerate() {
+                let i = returns[place];
                 let Some(around) = self.around(i as usize) else {
                     continue;
                 };
@@ -250,7 +274,7 @@ impl Scan<'_> {
                 }
             }
             let found = self.judge(&moments, &of);
-            for (k, &i) in few.iter().enumerate() {
+            for (k, &place) in few.iter().enumerate() {
                 let first_half = HALVES.len() * k;
                 let mut best = first_half;
                 for lane in first_half + 1..first_half + HALVES.len() {
@@ -258,7 +282,7 @@ impl Scan<'_> {
                         best = lane;
                     }
                 }
-                out[i as usize - first] = found.patches[best];
+                patches[place] = found.patches[best];
             }
         }
     }

@@ -1,13 +1,14 @@
 //! Sums over windows of the organized image, by summed-area tables (Crow 1984).
 //!
 //! A table holds, for each cell, the sums over all returns below and left of it, so that a window's are those of its corners:
-//! D − C − B + A, whatever its size. Columns wrap around: a table continues some columns beyond both ends. Rings are
-//! cut into bands with a table each, so that threads can fill them side by side.
+//! D − C − B + A, whatever its size. Columns wrap around: a table continues some columns beyond both ends. Columns are
+//! cut into bands with a table each, so that threads can fill them side by side; and it lies column by column in memory, as
+//! sensors fire, so that windows of returns that follow each other have their corners in the nearest caches.
 
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::sensor::{NONE, ScanImage};
+use crate::sensor::ScanImage;
 
 /// Count of returns, Σx, Σy, Σz, Σxx, Σxy, Σxz, Σyy, Σyz, Σzz.
 pub(super) type Sums = [f64; 10];
@@ -18,15 +19,15 @@ pub const MAX_COLUMNS: usize = 16;
 /// Returns farther away than this, metres, are left out, and those that are nowhere: they would be felt in all sums of their band.
 const FARTHEST_M: f32 = 1000.0;
 
-/// Rings of a band.
-const BAND: usize = 16;
+/// Columns of a band.
+const BAND: usize = 64;
 
 /// The tables of one scan.
 #[derive(Debug, Default)]
 pub(super) struct WindowSums {
     columns: usize,
     rings: usize,
-    /// Row by row, one column more than cells: [`Self::width`] of them.
+    /// Column by column, with zeros below the first ring.
     table: Vec<Sums>,
 }
 
@@ -41,58 +42,58 @@ impl WindowSums {
     /// Sums up the returns of an image.
     pub(super) fn update(&mut self, image: &ScanImage, points: &[Vec3]) {
         (self.columns, self.rings) = (image.columns(), image.rings());
-        let (columns, width) = (self.columns, self.width());
-        self.table.resize(width * self.rings, [0.0; 10]);
-        let bands = self.table.par_chunks_mut(BAND * width).enumerate();
-        bands.for_each(|(band, rows)| {
-            for k in 0..rows.len() / width {
-                let (below, row) = rows.split_at_mut(k * width);
-                let below = below.get(below.len().wrapping_sub(width)..);
-                let cells = image.row(BAND * band + k);
+        let (columns, height) = (self.columns, self.height());
+        self.table.resize(height * (columns + 2 * MAX_COLUMNS), [0.0; 10]);
+        let bands = self.table.par_chunks_mut(BAND * height).enumerate();
+        bands.for_each(|(band, table)| {
+            let mut left: &[Sums] = &[];
+            for (k, out) in table.chunks_exact_mut(height).enumerate() {
+                let column = (BAND * band + k + columns * MAX_COLUMNS - MAX_COLUMNS) % columns;
                 let mut sums = [0.0; 10];
-                row[0] = below.map_or(sums, |below| below[0]);
-                for c in 0..width - 1 {
-                    let cell = cells[(c + columns * MAX_COLUMNS - MAX_COLUMNS) % columns];
-                    if cell != NONE && points[cell as usize].length_squared() < FARTHEST_M * FARTHEST_M {
-                        add(&mut sums, points[cell as usize]);
+                out[0] = sums;
+                for (ring, out) in out[1..].iter_mut().enumerate() {
+                    let point = image.get(ring, column).map(|i| points[i]);
+                    // Also false for NaN.
+                    if let Some(point) = point.filter(|p| p.length_squared() < FARTHEST_M * FARTHEST_M) {
+                        add(&mut sums, point);
                     }
-                    row[c + 1] = sums;
-                    if let Some(below) = below {
-                        for (sum, below) in row[c + 1].iter_mut().zip(below[c + 1]) {
-                            *sum += below;
-                        }
+                    *out = sums;
+                    if let Some(left) = left.get(ring + 1) {
+                        out.iter_mut().zip(left).for_each(|(sum, left)| *sum += left);
                     }
                 }
+                left = out;
             }
         });
     }
 
-    fn width(&self) -> usize {
-        self.columns + 2 * MAX_COLUMNS + 1
+    /// Entries of a column.
+    fn height(&self) -> usize {
+        self.rings + 1
     }
 
     /// The sums over a window.
     #[inline(always)]
     pub(super) fn of(&self, window: Window) -> Sums {
         let mut all = [0.0; 10];
-        let [mut ring, last] = window.rings;
-        while ring <= last {
-            let end = (ring | (BAND - 1)).min(last);
-            self.add_row(&mut all, end, window.columns, 1.0);
-            if ring % BAND != 0 {
-                self.add_row(&mut all, ring - 1, window.columns, -1.0);
+        let [mut column, last] = window.columns;
+        while column <= last {
+            let end = (column | (BAND - 1)).min(last);
+            self.add_column(&mut all, end, window.rings, 1.0);
+            if column % BAND != 0 {
+                self.add_column(&mut all, column - 1, window.rings, -1.0);
             }
-            ring = end + 1;
+            column = end + 1;
         }
         all
     }
 
     #[inline(always)]
-    fn add_row(&self, all: &mut Sums, ring: usize, [first, last]: [usize; 2], sign: f64) {
-        let row = &self.table[ring * self.width()..][..self.width()];
-        let (left, right) = (&row[first], &row[last + 1]);
+    fn add_column(&self, all: &mut Sums, column: usize, [first, last]: [usize; 2], sign: f64) {
+        let column = &self.table[column * self.height()..][..self.height()];
+        let (below, above) = (&column[first], &column[last + 1]);
         for k in 0..10 {
-            all[k] += sign * (right[k] - left[k]);
+            all[k] += sign * (above[k] - below[k]);
         }
     }
 }
