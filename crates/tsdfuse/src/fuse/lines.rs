@@ -491,53 +491,75 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
         let t = m.offset * slope;
         let first = |u: usize, wide: usize| t * axis[u] + (fraction[u] - 0.5 * wide as f32) + ROUND;
         let (u, w) = (first(U, wide_u), first(W, wide_w));
-        let place_u = |steps| Places::<S, U>::of(u + steps, fraction[U], axis[U], center[U]);
-        let place_w = |steps| Places::<S, W>::of(w + steps, fraction[W], axis[W], center[W]);
 
         if writer.queue.found - writer.queue.asked > BURST {
             writer.ask(region);
         }
-        let mut find = |u: &Places<S, U>, w: &Places<S, W>| {
-            let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
-                let mut of = [m; 3];
-                (of[U], of[W]) = (u, w);
-                of
-            };
-            let [x, y, z] = xyz(m.offset, u.offset, w.offset);
-            let [along_x, along_y, along_z] = xyz(m.along, u.along, w.along);
-            let [x2, y2, z2] = xyz(m.square, u.square, w.square);
-            let voxels = Row {
-                x,
-                y,
-                z,
-                along: along_x + (along_y + along_z),
-                distance2: x2 + (y2 + z2),
-            };
-            let (inside, distance, weight) = rule_of_line(&voxels);
-            let (weight, distance) = fixed_row(distance, weight);
-            let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
-            let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
-            let address = m.address | u.address | w.address;
-            writer.queue.push(updated, address, weight, distance);
-        };
-        let splat = |steps: f32| f32x8::splat(simd, steps);
         match R::PLANES {
             Planes::Eight => {
-                let u = [place_u(splat(0.0)), place_u(splat(1.0)), place_u(splat(2.0))];
-                let w = [place_w(splat(0.0)), place_w(splat(1.0)), place_w(splat(2.0))];
+                let u = [
+                    Places::<S, U>::of(u, fraction[U], axis[U], center[U]),
+                    Places::<S, U>::of(u + 1.0, fraction[U], axis[U], center[U]),
+                    Places::<S, U>::of(u + 2.0, fraction[U], axis[U], center[U]),
+                ];
+                let w = [
+                    Places::<S, W>::of(w, fraction[W], axis[W], center[W]),
+                    Places::<S, W>::of(w + 1.0, fraction[W], axis[W], center[W]),
+                    Places::<S, W>::of(w + 2.0, fraction[W], axis[W], center[W]),
+                ];
                 for &[j, i] in BESIDE[wide_w - 2][wide_u - 2] {
-                    find(&u[j], &w[i]);
+                    find(&m, &u[j], &w[i], &rule_of_line, &mut writer.queue);
                 }
             }
             Planes::Four => {
-                let pair = |[a, b]: [f32; 2]| f32x8::simd_from(simd, [a, a, a, a, b, b, b, b]);
                 for &[j, i] in PAIRS[wide_w - 2][wide_u - 2] {
-                    find(&place_u(pair(j)), &place_w(pair(i)));
+                    let u = Places::<S, U>::of(u + pair(simd, j), fraction[U], axis[U], center[U]);
+                    let w = Places::<S, W>::of(w + pair(simd, i), fraction[W], axis[W], center[W]);
+                    find(&m, &u, &w, &rule_of_line, &mut writer.queue);
                 }
             }
         }
         plane += count;
     }
+}
+
+/// The one number for four lanes, the other for the others.
+#[inline(always)]
+fn pair<S: Simd>(simd: S, [a, b]: [f32; 2]) -> f32x8<S> {
+    f32x8::simd_from(simd, [a, a, a, a, b, b, b, b])
+}
+
+/// Finds which of eight voxels are updated. (A function, since closures are not compiled for the CPU's vector instructions where
+/// they are not inlined.)
+#[inline(always)]
+fn find<S: Simd, const M: usize, const U: usize, const W: usize>(
+    m: &Places<S, M>,
+    u: &Places<S, U>,
+    w: &Places<S, W>,
+    rule_of_line: &impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>),
+    queue: &mut Queue,
+) {
+    let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
+        let mut of = [m; 3];
+        (of[U], of[W]) = (u, w);
+        of
+    };
+    let [x, y, z] = xyz(m.offset, u.offset, w.offset);
+    let [along_x, along_y, along_z] = xyz(m.along, u.along, w.along);
+    let [x2, y2, z2] = xyz(m.square, u.square, w.square);
+    let voxels = Row {
+        x,
+        y,
+        z,
+        along: along_x + (along_y + along_z),
+        distance2: x2 + (y2 + z2),
+    };
+    let (inside, distance, weight) = rule_of_line(&voxels);
+    let (weight, distance) = fixed_row(distance, weight);
+    let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
+    let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
+    let address = m.address | u.address | w.address;
+    queue.push(updated, address, weight, distance);
 }
 
 /// What is to be known of eight voxels along one axis of the grid.
