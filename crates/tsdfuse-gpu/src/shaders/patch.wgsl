@@ -14,7 +14,7 @@ fn fuse_return(i: u32, thread: u32) -> u32 {
         let column = cell % frame.columns;
         if thread == 2u {
             connect(patches[cell], patches[ring * frame.columns + next_column(column)]);
-        } else if ring + 1u < frame.rings {
+        } else if ring + 1u < frame.rings && column % nth(frame.step_m / (frame.column_rad * length(patches[cell].center))) == 0u {
             connect(patches[cell], patches[cell + frame.columns]);
         }
     }
@@ -67,6 +67,11 @@ fn is_alone(cell: u32) -> bool {
         }
     }
     return planes <= MAX_BESIDE;
+}
+
+// The greatest power of two that is not above a number; at least 1.
+fn nth(dense: f32) -> u32 {
+    return 1u << firstLeadingBit(max(u32(dense), 1u));
 }
 
 // Fuses what lies between two patches, if they are of one surface.

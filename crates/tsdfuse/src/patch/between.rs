@@ -12,7 +12,8 @@ pub const MIN_DOT: f32 = 0.9;
 /// Each of the two lies on the plane of the other, up to this many standard deviations of ranges.
 pub const MAX_OFF: f32 = 2.0;
 
-/// Finds patches between those of neighbouring returns (next ring, next column), at most `step_m` apart. Keeps its buffers.
+/// Finds patches between those of neighbouring returns (next ring, next column), at most `step_m` apart. Where columns are denser than
+/// that, only every second, fourth, … has patches to the next ring. Keeps its buffers.
 #[derive(Debug, Default)]
 pub(super) struct Between {
     parts: Vec<Vec<Patch>>,
@@ -20,7 +21,7 @@ pub(super) struct Between {
 
 impl Between {
     /// Appends them.
-    pub(super) fn append_to(&mut self, all: &mut Vec<Patch>, image: &ScanImage, limits: &Limits) {
+    pub(super) fn append_to(&mut self, all: &mut Vec<Patch>, image: &ScanImage, column_rad: f32, limits: &Limits) {
         let count = all.len();
         self.parts.resize_with(count.div_ceil(PART), Vec::new);
         self.parts.par_iter_mut().enumerate().for_each(|(part, between)| {
@@ -30,16 +31,21 @@ impl Between {
                     continue;
                 };
                 let next = if column + 1 == image.columns() { 0 } else { column + 1 };
-                for other in [image.get(ring + 1, column), image.get(ring, next)]
-                    .into_iter()
-                    .flatten()
-                {
+                let dense = limits.step_m / (column_rad * all[i].center.length());
+                let above = image.get(ring + 1, column).filter(|_| column % nth(dense) == 0);
+                for other in [above, image.get(ring, next)].into_iter().flatten() {
                     connect(&all[i], &all[other], limits, between);
                 }
             }
         });
         self.parts.iter().for_each(|part| all.extend_from_slice(part));
     }
+}
+
+/// The greatest power of two that is not above a number; at least 1.
+#[inline(always)]
+fn nth(dense: f32) -> usize {
+    1 << (dense as u32).max(1).ilog2()
 }
 
 /// Adds what lies between two patches, if they are of one surface.

@@ -153,7 +153,7 @@ impl Patches {
                 .zip(patches)
                 .for_each(|(&i, &patch)| self.all[i as usize] = patch);
         }
-        self.between.append_to(&mut self.all, image, limits);
+        self.between.append_to(&mut self.all, image, column_rad, limits);
     }
 
     /// Whether neither a return, in this cell of the image, nor those beside it have planes, but for [`MAX_BESIDE`].
@@ -253,7 +253,8 @@ impl Scan<'_> {
                     whole: true,
                     ..found.patches[lane]
                 };
-                if found.residual2[lane] == f32::INFINITY {
+                // Halves would have fewer returns still.
+                if found.residual2[lane] == f32::INFINITY && moments.count()[lane] >= MIN_RETURNS {
                     rest.push(group * LANES + lane);
                 }
             }

@@ -36,6 +36,11 @@ impl Moments {
         count: [0.0; LANES],
     };
 
+    /// How many points there are.
+    pub(super) fn count(&self) -> &Floats {
+        &self.count
+    }
+
     /// Puts in sums; `near` is where means are told from.
     #[inline(always)]
     pub(super) fn set(&mut self, lane: usize, sums: &Sums, near: Vec3) {
