@@ -174,7 +174,7 @@ mod tests {
             discs in proptest::collection::vec((any_cylinder(1.0..9.0f32), 0.01..1.0f32), 1..30),
         ) {
             let discs: Vec<Disc> = discs.into_iter().map(|(about, weight)| Disc { about, weight }).collect();
-            let plain = updated(Level::fallback(), &discs);
+            let plain = updated(Level::baseline(), &discs);
             prop_assert!(updated(Level::new(), &discs) == plain);
             prop_assert!(updated(Level::new(), &discs[1..]) != plain);
         }

@@ -142,7 +142,7 @@ fn extracted(map: &VoxelMap, config: MeshConfig, level: Level) -> Mesh {
 
 #[test]
 fn the_mesh_is_the_literal_one_with_all_instructions() {
-    let mut levels = vec![Level::fallback(), Level::baseline(), Level::new()];
+    let mut levels = vec![Level::baseline(), Level::new()];
     #[cfg(target_arch = "x86_64")]
     levels.extend(Level::new().as_avx2().map(Level::Avx2));
     for (seed, min_weight) in [(1, 0.0), (2, 0.015), (3, 0.02)] {
