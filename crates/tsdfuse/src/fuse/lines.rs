@@ -55,7 +55,7 @@ pub(crate) trait Rule: Sync {
     /// Where all voxels lie that are updated.
     const SHAPE: Shape;
 
-    /// How many planes of voxels most lines pass: with half of the lanes' number, voxels are taken two by two.
+    /// How many planes of voxels are looked at together: no more than most lines pass.
     const PLANES: Planes = Planes::Eight;
 
     /// Prepares for one line; what is returned tells for voxels near it which of them are updated (none farther than √3/2 from
