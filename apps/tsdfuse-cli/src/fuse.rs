@@ -23,8 +23,8 @@ use growing::Growing;
 pub(crate) use growing::GrowthReport;
 pub(crate) use load::LoadedMap;
 use load::Loading;
-pub(crate) use paging::PagingReport;
 use paging::{AHEAD, Paging, Progress, Resumed};
+pub(crate) use paging::{PagingReport, save_in_parts};
 pub(crate) use resume::{Args as ResumeArgs, run as resume};
 
 use crate::config::{RunConfig, Suggested};

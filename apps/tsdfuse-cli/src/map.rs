@@ -1,16 +1,17 @@
 //! `tsdfuse map`: saved maps in, a saved map out.
 
+mod export;
+#[cfg_attr(not(feature = "zarr"), path = "map/no_zarr.rs")]
+mod zarr;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use glam::{DQuat, DVec3, EulerRot};
-use indicatif::HumanCount;
 use serde::Serialize;
-use tsdfuse::mesh::{MeshConfig, extract_with};
 use tsdfuse::{Pose, VoxelMap};
 use tsdfuse_io::map_file::{self, Damage, Reader};
-use tsdfuse_io::{npz, ply};
 
 use crate::exit::{Outcome, Usage};
 use crate::output::check_file;
@@ -26,6 +27,7 @@ Examples:
   tsdfuse map transform street.tsdf --rotation 0,0,90 --translation 691000,5335000,0 -o utm.tsdf
   tsdfuse map repair broken.tsdf -o whole.tsdf
   tsdfuse map export street.tsdf -o street.npz
+  tsdfuse map export drive.store -o drive.zarr
 
 What a map holds: tsdfuse info.";
 
@@ -34,9 +36,18 @@ What a map holds: tsdfuse info.";
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
     #[command(subcommand)]
-    operation: Operation,
+    command: Command,
 }
 
+#[derive(Debug, Subcommand)]
+enum Command {
+    #[command(flatten)]
+    Operation(Operation),
+    /// Write the voxels as arrays (.npz for NumPy, .zarr for xarray), or the surface as points with normals (.ply).
+    Export(export::Args),
+}
+
+/// What makes a map of maps.
 #[derive(Debug, Subcommand)]
 enum Operation {
     /// Add maps of one grid: what fusing all their scans gives, bit for bit, where weights stay below their limit and nothing
@@ -84,8 +95,6 @@ enum Operation {
         #[command(flatten)]
         out: Out,
     },
-    /// Write the voxels as NumPy arrays (.npz), or the surface as points with normals (.ply).
-    Export(Export),
     /// Recover what is intact of a damaged map.
     Repair {
         /// The map.
@@ -93,18 +102,6 @@ enum Operation {
         #[command(flatten)]
         out: Out,
     },
-}
-
-#[derive(Debug, clap::Args)]
-struct Export {
-    /// The map.
-    map: PathBuf,
-    /// The file to write, .npz or .ply.
-    #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
-    /// Voxels of less weight do not become surface (.ply).
-    #[arg(long, value_name = "W", default_value_t = MeshConfig::default().min_weight)]
-    min_weight: f32,
 }
 
 /// Where the result goes.
@@ -149,11 +146,12 @@ impl From<VoxelMap> for Made {
     }
 }
 
-pub(crate) fn run(Args { operation }: &Args) -> Result<Outcome> {
-    let out = match operation.out() {
-        Ok(out) => out,
-        Err(export) => return export.run(),
+pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
+    let operation = match command {
+        Command::Operation(operation) => operation,
+        Command::Export(export) => return export.run(),
     };
+    let out = operation.out();
     check_file(&out.output)?;
     let spinner = working("working on the map");
     let made = operation.run()?;
@@ -175,15 +173,14 @@ pub(crate) fn run(Args { operation }: &Args) -> Result<Outcome> {
 }
 
 impl Operation {
-    /// Where the map goes, unless it is no map that is made.
-    fn out(&self) -> Result<&Out, &Export> {
+    /// Where the map goes.
+    fn out(&self) -> &Out {
         match self {
-            Self::Export(export) => Err(export),
             Self::Merge { out, .. }
             | Self::Crop { out, .. }
             | Self::Resample { out, .. }
             | Self::Transform { out, .. }
-            | Self::Repair { out, .. } => Ok(out),
+            | Self::Repair { out, .. } => out,
         }
     }
 
@@ -218,7 +215,6 @@ impl Operation {
                     ..moved.into()
                 })
             }
-            Self::Export(export) => Ok(map_file::read(&export.map)?.into()),
             Self::Repair { map, .. } => {
                 let map_file::Repaired { map, damage } = map_file::repair(map)?;
                 Ok(Made {
@@ -227,38 +223,6 @@ impl Operation {
                 })
             }
         }
-    }
-}
-
-impl Export {
-    fn run(&self) -> Result<Outcome> {
-        let config = MeshConfig {
-            min_weight: self.min_weight,
-        };
-        config.validate().map_err(Usage::new)?;
-        check_file(&self.output)?;
-        let is = |extension| {
-            self.output
-                .extension()
-                .is_some_and(|e| e.eq_ignore_ascii_case(extension))
-        };
-        if is("npz") {
-            let map = map_file::read(&self.map)?;
-            npz::write(&self.output, &map)?;
-            say(format_args!(
-                "  voxels   {}",
-                HumanCount(map.observed_voxel_count() as u64)
-            ));
-        } else if is("ply") {
-            let mesh = extract_with(&map_file::read(&self.map)?, &config)?;
-            ply::write_vertices(&self.output, &mesh)?;
-            say(format_args!("  points   {}", HumanCount(mesh.vertices.len() as u64)));
-        } else {
-            let path = self.output.display();
-            return Err(Usage::new(format_args!("{path}: a map is exported as .npz or .ply")).into());
-        }
-        say(format_args!("  wrote    {}", self.output.display()));
-        Ok(Outcome::Complete)
     }
 }
 

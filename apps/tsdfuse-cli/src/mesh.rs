@@ -20,8 +20,15 @@ use crate::tiles;
 
 pub(crate) use parts::{check_in_parts, surface_in_parts};
 
-/// Blocks of a store that are in memory while it is meshed.
+/// Blocks of a store that are in memory while it is meshed or exported.
 const STORE_BYTES: usize = 256 << 20;
+
+/// Opens a store, of which nothing is read yet.
+pub(crate) fn open_store(path: &Path) -> Result<(VoxelMap, Pager)> {
+    let limit_bytes = STORE_BYTES;
+    let (map, pager, _) = Pager::open(path, Options { limit_bytes })?;
+    Ok((map, pager))
+}
 
 const EXAMPLES: &str = "\
 Examples:
@@ -99,12 +106,7 @@ impl Args {
             return Err(Usage::new("a store is meshed by the CPU: leave out --device").into());
         }
         check_in_parts(&self.output).map_err(Usage::new)?;
-        let (mut map, mut pager, _) = Pager::open(
-            &self.map,
-            Options {
-                limit_bytes: STORE_BYTES,
-            },
-        )?;
+        let (mut map, mut pager) = open_store(&self.map)?;
         let mesh = surface_in_parts(&mut map, &mut pager, &config, &self.output)?;
         Ok(Done {
             path: self.map.clone(),

@@ -2,17 +2,16 @@
 
 mod hits;
 
-use std::ffi::OsStr;
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 use glam::DVec3;
 use indicatif::HumanCount;
 use serde::Serialize;
+use tsdfuse_io::atomic::Folder;
 use tsdfuse_io::plain::Writer;
 use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
 
@@ -87,8 +86,8 @@ struct Made<'a> {
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let start = Instant::now();
     let simulator = simulator(args, args.noise)?;
-    let folder = NewFolder::create(&args.output)?;
-    let points = write(args, &simulator, &folder.temporary)?;
+    let folder = Folder::begin(&args.output)?;
+    let points = write(args, &simulator, folder.path())?;
     folder.finish()?;
     say(format_args!(
         "{}: {} scans of {} with {}, {} points, {:.1} s",
@@ -177,50 +176,6 @@ pub(crate) fn parse_triple(text: &str) -> Result<DVec3, String> {
     }
 }
 
-/// A folder that takes its name when it is complete, and vanishes if it never is.
-struct NewFolder {
-    temporary: PathBuf,
-    target: PathBuf,
-}
-
-impl NewFolder {
-    fn create(target: &Path) -> Result<Self> {
-        match fs::read_dir(target).map(|mut entries| entries.next().is_none()) {
-            Ok(true) => {}
-            Ok(false) => bail!("{}: is not empty; name a new folder", target.display()),
-            Err(e) if e.kind() == io::ErrorKind::NotFound => {}
-            Err(e) => return Err(e).with_context(|| target.display().to_string()),
-        }
-        let Some(name) = target.file_name().map(OsStr::to_string_lossy) else {
-            bail!("{}: is no name for a new folder", target.display());
-        };
-        let temporary = target.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
-        fs::create_dir(&temporary).with_context(|| format!("{}: cannot be made", target.display()))?;
-        Ok(Self {
-            temporary,
-            target: target.to_owned(),
-        })
-    }
-
-    fn finish(self) -> Result<()> {
-        // Only an empty folder goes: not all systems put a folder in its place.
-        let removed = match fs::remove_dir(&self.target) {
-            Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
-            _ => Ok(()),
-        };
-        removed
-            .and_then(|()| fs::rename(&self.temporary, &self.target))
-            .with_context(|| self.target.display().to_string())
-    }
-}
-
-impl Drop for NewFolder {
-    fn drop(&mut self) {
-        // Nothing to remove after the renaming.
-        let _ = fs::remove_dir_all(&self.temporary);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -231,23 +186,5 @@ mod tests {
         for bad in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
             assert!(parse_triple(bad).is_err(), "{bad}");
         }
-    }
-
-    #[test]
-    fn a_folder_that_is_not_finished_vanishes() {
-        let dir = tempfile::tempdir().unwrap();
-        let target = dir.path().join("out");
-        let entries = || fs::read_dir(dir.path()).unwrap().count();
-        let folder = NewFolder::create(&target).unwrap();
-        fs::write(folder.temporary.join("half"), "x").unwrap();
-        drop(folder);
-        assert_eq!(entries(), 0);
-        fs::create_dir(&target).unwrap();
-        let folder = NewFolder::create(&target).unwrap();
-        fs::write(folder.temporary.join("whole"), "x").unwrap();
-        folder.finish().unwrap();
-        assert_eq!((entries(), target.join("whole").exists()), (1, true));
-        let error = NewFolder::create(&target).err().unwrap().to_string();
-        assert!(error.ends_with("out: is not empty; name a new folder"), "{error}");
     }
 }

@@ -1,7 +1,7 @@
-//! Output files that are complete or not there.
+//! Output files and folders that are complete or not there.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
@@ -45,15 +45,10 @@ pub(crate) struct Temporary(PathBuf);
 impl Temporary {
     /// Makes one beside `target`, to write and to read.
     pub(crate) fn create(target: &Path) -> io::Result<(Self, File)> {
-        let name = target.file_name().unwrap_or_default().to_string_lossy();
-        let mut attempt = 0;
-        loop {
-            let path = target.with_file_name(format!(".{name}.{}-{attempt}.tmp", std::process::id()));
-            match OpenOptions::new().read(true).write(true).create_new(true).open(&path) {
-                Err(e) if e.kind() == io::ErrorKind::AlreadyExists && attempt < 1000 => attempt += 1,
-                file => return file.map(|file| (Self(path), file)),
-            }
-        }
+        let (path, file) = beside(target, |path| {
+            OpenOptions::new().read(true).write(true).create_new(true).open(path)
+        })?;
+        Ok((Self(path), file))
     }
 
     fn rename(self, target: &Path) -> io::Result<()> {
@@ -65,6 +60,86 @@ impl Drop for Temporary {
     fn drop(&mut self) {
         // Nothing to remove after the renaming.
         let _ = fs::remove_file(&self.0);
+    }
+}
+
+/// Makes something hidden beside `target`, by a name that is free.
+fn beside<T>(target: &Path, make: impl Fn(&Path) -> io::Result<T>) -> io::Result<(PathBuf, T)> {
+    let name = target.file_name().unwrap_or_default().to_string_lossy();
+    let mut attempt = 0;
+    loop {
+        let path = target.with_file_name(format!(".{name}.{}-{attempt}.tmp", std::process::id()));
+        match make(&path) {
+            Err(e) if e.kind() == ErrorKind::AlreadyExists && attempt < 1000 => attempt += 1,
+            made => return made.map(|made| (path, made)),
+        }
+    }
+}
+
+/// Finds out before the work whether a [`Folder`] can be written: there is none by this name, or it is empty.
+///
+/// # Errors
+/// Names the folder and what is in the way.
+pub fn check_folder(path: &Path) -> Result<()> {
+    if path.file_name().is_none() {
+        return Err(Error::dataset(path, "is no name for a new folder"));
+    }
+    match fs::read_dir(path) {
+        Ok(mut entries) => match entries.next() {
+            None => Ok(()),
+            Some(_) => Err(Error::dataset(path, "is not empty; name a new folder")),
+        },
+        Err(e) if e.kind() == ErrorKind::NotFound => {
+            let above = path.parent().filter(|above| !above.as_os_str().is_empty());
+            match above.unwrap_or(Path::new(".")) {
+                above if above.is_dir() => Ok(()),
+                above => Err(Error::dataset(path, format!("there is no folder {}", above.display()))),
+            }
+        }
+        Err(e) => Err(Error::io(path)(e)),
+    }
+}
+
+/// A folder in the making, hidden beside the one that it becomes; gone unless it is finished.
+#[derive(Debug)]
+pub struct Folder<'a> {
+    path: PathBuf,
+    target: &'a Path,
+}
+
+impl<'a> Folder<'a> {
+    /// Begins one that becomes `target`.
+    ///
+    /// # Errors
+    /// As [`check_folder`].
+    pub fn begin(target: &'a Path) -> Result<Self> {
+        check_folder(target)?;
+        let (path, ()) = beside(target, |path| fs::create_dir(path)).map_err(Error::io(target))?;
+        Ok(Self { path, target })
+    }
+
+    /// Where its files go.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Gives it its name.
+    ///
+    /// # Errors
+    /// Names the folder and what the system says.
+    pub fn finish(self) -> Result<()> {
+        match fs::remove_dir(self.target) {
+            Err(e) if e.kind() != ErrorKind::NotFound => Err(e),
+            _ => fs::rename(&self.path, self.target),
+        }
+        .map_err(Error::io(self.target))
+    }
+}
+
+impl Drop for Folder<'_> {
+    fn drop(&mut self) {
+        // Nothing to remove once it has its name.
+        let _ = fs::remove_dir_all(&self.path);
     }
 }
 
@@ -121,6 +196,29 @@ mod tests {
                 .to_string()
                 .ends_with("not a file to write")
         );
+    }
+
+    #[test]
+    fn a_folder_appears_when_it_is_complete() {
+        let dir = tempfile::tempdir().unwrap();
+        let target = dir.path().join("tiles");
+        let begun = Folder::begin(&target).unwrap();
+        fs::write(begun.path().join("a"), "a").unwrap();
+        assert!(!target.exists());
+        drop(begun);
+        assert_eq!(names(dir.path()), [""; 0]);
+        fs::create_dir(&target).unwrap(); // empty: it is replaced
+        let begun = Folder::begin(&target).unwrap();
+        fs::write(begun.path().join("a"), "a").unwrap();
+        begun.finish().unwrap();
+        assert_eq!(
+            (names(dir.path()), names(&target)),
+            (vec!["tiles".into()], vec!["a".into()])
+        );
+        let full = Folder::begin(&target).unwrap_err().to_string();
+        assert!(full.ends_with("tiles: is not empty; name a new folder"), "{full}");
+        let missing = check_folder(&dir.path().join("no/tiles")).unwrap_err().to_string();
+        assert!(missing.contains("no/tiles: there is no folder"), "{missing}");
     }
 
     #[cfg(unix)]

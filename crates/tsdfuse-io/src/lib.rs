@@ -35,6 +35,8 @@ pub mod rgbd;
 mod scalar;
 mod text;
 mod times;
+#[cfg(feature = "zarr")]
+pub mod zarr;
 
 pub use cloud::Cloud;
 pub use dataset::{Dataset, OpenOptions, ScanRef, Source, open, open_with};

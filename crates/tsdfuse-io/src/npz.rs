@@ -9,20 +9,22 @@
 //!
 //! The file is a zip archive whose members are not compressed, written from front to back.
 
-use std::io::{self, Error, ErrorKind, Write};
+use std::io::{self, Write};
 use std::path::Path;
 
 use tsdfuse::VoxelMap;
 use tsdfuse::glam::IVec3;
 use tsdfuse::index::voxel_at;
 use tsdfuse::map::Voxel;
+use zip::write::{SimpleFileOptions, StreamWriter};
+use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use crate::error::Result;
 
 /// Writes the observed voxels to a file, which appears when it is complete. They are sorted as the blocks of a saved map are.
 ///
 /// # Errors
-/// Names the file and what the system says; also for more than 357 million voxels, whose array a plain zip archive cannot hold.
+/// Names the file and what the system says.
 pub fn write(path: impl AsRef<Path>, map: &VoxelMap) -> Result<()> {
     crate::atomic::write(path, |out| write_to(out, map))
 }
@@ -35,7 +37,7 @@ pub fn write_to(out: impl Write, map: &VoxelMap) -> io::Result<()> {
     let config = *map.config();
     let truncation_m = config.truncation_m as f32;
     let count = map.observed_voxel_count();
-    let mut archive = Archive::new(out);
+    let mut archive = Archive(ZipWriter::new_stream(out));
     archive.member("voxels", "<i4", &format!("({count}, 3)"), 12 * count, |out| {
         for_each_voxel(map, |place, _| {
             place
@@ -60,7 +62,8 @@ pub fn write_to(out: impl Write, map: &VoxelMap) -> io::Result<()> {
     ] {
         archive.member(name, "<f8", "()", 8, |out| out.write_all(&value.to_le_bytes()))?;
     }
-    archive.finish()
+    archive.0.finish()?;
+    Ok(())
 }
 
 fn for_each_voxel(map: &VoxelMap, mut take: impl FnMut(IVec3, Voxel) -> io::Result<()>) -> io::Result<()> {
@@ -72,54 +75,10 @@ fn for_each_voxel(map: &VoxelMap, mut take: impl FnMut(IVec3, Voxel) -> io::Resu
     Ok(())
 }
 
-/// A zip archive (APPNOTE 6.3.10) in the making.
-struct Archive<W> {
-    out: W,
-    /// Bytes written so far.
-    at: u64,
-    /// The entries of the list at the end.
-    list: Vec<u8>,
-    members: u16,
-}
-
-/// Zip's words: the beginnings of a member, of an entry of the list, and of its end.
-const MEMBER: u32 = 0x0403_4b50;
-const ENTRY: u32 = 0x0201_4b50;
-const END: u32 = 0x0605_4b50;
-const DESCRIPTOR: u32 = 0x0807_4b50;
-/// Version 2.0; the length and the checksum follow the bytes; the first of January 1980.
-const COMMON: [u16; 5] = [20, 1 << 3, 0, 0, 0x21];
-
-/// Counts and checks what goes by.
-struct Checked<'a, W> {
-    out: &'a mut W,
-    checksum: crc32fast::Hasher,
-    count: u64,
-}
-
-impl<W: Write> Write for Checked<'_, W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.out.write(bytes)?;
-        self.checksum.update(&bytes[..written]);
-        self.count += written as u64;
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
-    }
-}
+/// An archive in the making.
+struct Archive<W: Write>(ZipWriter<StreamWriter<W>>);
 
 impl<W: Write> Archive<W> {
-    fn new(out: W) -> Self {
-        Self {
-            out,
-            at: 0,
-            list: Vec::new(),
-            members: 0,
-        }
-    }
-
     /// Adds an array of `bytes` bytes.
     fn member(
         &mut self,
@@ -127,55 +86,16 @@ impl<W: Write> Archive<W> {
         kind: &str,
         shape: &str,
         bytes: usize,
-        write: impl FnOnce(&mut Checked<'_, W>) -> io::Result<()>,
+        write: impl FnOnce(&mut ZipWriter<StreamWriter<W>>) -> io::Result<()>,
     ) -> io::Result<()> {
-        if bytes as u64 + self.at > u64::from(u32::MAX) - (1 << 16) {
-            return Err(Error::new(
-                ErrorKind::InvalidInput,
-                "the arrays exceed the 4 GiB of a zip archive: crop the map",
-            ));
-        }
-        let name = format!("{name}.npy");
-        let start = self.at as u32;
-        let mut header = words([MEMBER], COMMON);
-        header.extend(words([0, 0, 0], [name.len() as u16, 0]));
-        header.extend(name.bytes());
-        self.out.write_all(&header)?;
-
-        let mut checked = Checked {
-            out: &mut self.out,
-            checksum: crc32fast::Hasher::new(),
-            count: 0,
-        };
-        checked.write_all(&npy_header(kind, shape))?;
-        write(&mut checked)?;
-        let (count, checksum) = (checked.count as u32, checked.checksum.finalize());
-        let descriptor = words([DESCRIPTOR, checksum, count, count], []);
-        self.out.write_all(&descriptor)?;
-        self.at += header.len() as u64 + u64::from(count) + descriptor.len() as u64;
-
-        self.list.extend(words([ENTRY], [20]));
-        self.list.extend(words([], COMMON));
-        self.list
-            .extend(words([checksum, count, count], [name.len() as u16, 0, 0, 0, 0]));
-        self.list.extend(words([0, start], []));
-        self.list.extend(name.bytes());
-        self.members += 1;
-        Ok(())
+        let options = SimpleFileOptions::default()
+            .compression_method(CompressionMethod::Stored)
+            .last_modified_time(DateTime::DEFAULT)
+            .large_file(bytes as u64 > u64::from(u32::MAX) - (1 << 16));
+        self.0.start_file(format!("{name}.npy"), options)?;
+        self.0.write_all(&npy_header(kind, shape))?;
+        write(&mut self.0)
     }
-
-    fn finish(mut self) -> io::Result<()> {
-        self.out.write_all(&self.list)?;
-        let mut end = words([END], [0, 0, self.members, self.members]);
-        end.extend(words([self.list.len() as u32, self.at as u32], [0]));
-        self.out.write_all(&end)
-    }
-}
-
-/// Words of four bytes, then of two.
-fn words<const N: usize, const M: usize>(long: [u32; N], short: [u16; M]) -> Vec<u8> {
-    let long = long.into_iter().flat_map(u32::to_le_bytes);
-    long.chain(short.into_iter().flat_map(u16::to_le_bytes)).collect()
 }
 
 /// What stands before the numbers of an array (NumPy's format 1.0), 64 bytes or a multiple.
@@ -192,14 +112,17 @@ fn npy_header(kind: &str, shape: &str) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::{Cursor, Read};
+
     use tsdfuse::MapConfig;
     use tsdfuse::index::BlockIndex;
     use tsdfuse::map::Block;
+    use zip::ZipArchive;
 
     use super::*;
 
     #[test]
-    fn arrays_lie_where_the_list_says() {
+    fn arrays_hold_what_the_map_does() {
         let mut map = VoxelMap::new(MapConfig::default()).unwrap();
         let mut block = Block::EMPTY;
         block.voxels[9] = Voxel {
@@ -209,21 +132,14 @@ mod tests {
         map.insert_block(BlockIndex(IVec3::new(-1, 0, 2)), block).unwrap();
         let mut bytes = Vec::new();
         write_to(&mut bytes, &map).unwrap();
-        let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
-        let end = bytes.len() - 22;
-        assert_eq!(u32_at(end), END as usize);
-        let (mut at, mut seen) = (u32_at(end + 16), Vec::new());
-        assert_eq!(at + u32_at(end + 12), end);
-        while at < end {
-            let (checksum, length, start) = (u32_at(at + 16), u32_at(at + 20), u32_at(at + 42));
-            let name_length = usize::from(bytes[at + 28]);
-            let name = std::str::from_utf8(&bytes[at + 46..at + 46 + name_length]).unwrap();
-            let member = &bytes[start + 30 + name_length..][..length];
-            assert_eq!(u32_at(start), MEMBER as usize);
-            assert_eq!(crc32fast::hash(member) as usize, checksum);
-            assert!(member.starts_with(b"\x93NUMPY\x01\x00v\x00{'descr': '<"));
-            seen.push((name.to_owned(), member[128..].to_vec()));
-            at += 46 + name_length;
+        let mut archive = ZipArchive::new(Cursor::new(bytes)).unwrap();
+        let mut seen = Vec::new();
+        for i in 0..archive.len() {
+            let mut member = archive.by_index(i).unwrap();
+            let (name, mut bytes) = (member.name().unwrap().into_owned(), Vec::new());
+            member.read_to_end(&mut bytes).unwrap(); // checks the checksum
+            assert!(bytes.starts_with(b"\x93NUMPY\x01\x00v\x00{'descr': '<"));
+            seen.push((name, bytes[128..].to_vec()));
         }
         let expected = [
             ("voxels.npy", [-7i32, 1, 16].map(i32::to_le_bytes).concat()),

@@ -141,6 +141,23 @@ impl Pager {
         all
     }
 
+    /// Visits the regions of the whole map, sorted, each while it is in memory.
+    ///
+    /// # Errors
+    /// As [`Pager::bring`] and [`Pager::release`], and what `visit` says.
+    pub fn for_each_region<E: From<StoreError>>(
+        &mut self,
+        map: &mut VoxelMap,
+        mut visit: impl FnMut(&VoxelMap, RegionIndex) -> Result<(), E>,
+    ) -> Result<(), E> {
+        for region in self.regions() {
+            self.bring_all(map, &[region])?;
+            self.release(map)?;
+            visit(map, region)?;
+        }
+        Ok(())
+    }
+
     /// How much the whole map holds, as of the last commit.
     pub fn sizes(&self) -> Sizes {
         let mut sizes = Sizes::default();

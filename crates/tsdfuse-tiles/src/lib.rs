@@ -29,7 +29,6 @@
 
 mod bounds;
 mod error;
-mod folder;
 mod parts;
 mod simplify;
 mod tile;
@@ -37,5 +36,4 @@ mod tileset;
 mod write;
 
 pub use error::{Result, TilesError};
-pub use folder::check;
-pub use write::{Written, write};
+pub use write::{Written, check, write};

@@ -1,16 +1,17 @@
 //! From the surface of a map to a folder of tiles.
 
-use std::io::Write;
 use std::path::Path;
+use std::{fs, io};
 
 use rayon::prelude::*;
 use serde::Serialize;
 use tsdfuse::glam::{DVec3, IVec3};
 use tsdfuse::mesh::MeshConfig;
+use tsdfuse_io::Error;
+use tsdfuse_io::atomic::{self, Folder};
 use tsdfuse_store::{CUBE_VOXELS, Surface, Weld};
 
 use crate::error::{Result, TilesError};
-use crate::folder::{Folder, check};
 use crate::tile::{Cube, Place, Tile};
 use crate::tileset::Tileset;
 
@@ -30,6 +31,18 @@ pub struct Written {
     pub triangles: usize,
     /// All files together.
     pub bytes: u64,
+}
+
+/// Finds out before the work whether tiles can be written for this `…/tileset.json`; tells their folder.
+///
+/// # Errors
+/// [`TilesError::File`] if it is no folder of their own: one that is not there yet, or is empty.
+pub fn check(tileset: &Path) -> Result<&Path> {
+    let folder = tileset.parent().filter(|folder| folder.file_name().is_some());
+    let own = "tiles are written into a folder of their own: NAME/tileset.json";
+    let folder = folder.ok_or_else(|| Error::dataset(tileset, own))?;
+    atomic::check_folder(folder)?;
+    Ok(folder)
 }
 
 /// Writes a surface as 3D Tiles: `tileset` (`NAME/tileset.json`), and beside it the tiles. The folder appears when it is complete.
@@ -55,15 +68,17 @@ pub fn write(tileset: &Path, surface: &mut Surface<'_>) -> Result<Written> {
     let size_m = root.bounds().diagonal_m();
     let root = root.write(&place)?;
     (written.tiles, written.levels) = root.count();
-    let text = serde_json::to_vec(&Tileset::new(root, place.origin, size_m)).map_err(|e| TilesError::Folder {
-        path: tileset.to_owned(),
-        reason: e.to_string(),
-    })?;
+    let tiles = Tileset::new(root, place.origin, size_m);
     let name = tileset.file_name().unwrap_or_default();
-    tsdfuse_io::atomic::write(folder.path().join(name), |out| out.write_all(&text))?;
-    written.bytes = folder.bytes()?;
+    atomic::write(folder.path().join(name), |out| Ok(serde_json::to_writer(out, &tiles)?))?;
+    written.bytes = bytes(folder.path()).map_err(Error::io(folder.path()))?;
     folder.finish()?;
     Ok(written)
+}
+
+/// The bytes of all files of a folder.
+fn bytes(folder: &Path) -> io::Result<u64> {
+    fs::read_dir(folder)?.map(|entry| Ok(entry?.metadata()?.len())).sum()
 }
 
 fn no_surface(config: &MeshConfig) -> TilesError {

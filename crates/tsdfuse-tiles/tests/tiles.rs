@@ -365,10 +365,7 @@ fn what_cannot_be_written_is_told_and_leaves_nothing() {
     fs::create_dir(dir.path().join("full")).unwrap();
     fs::write(dir.path().join("full/precious"), b"").unwrap();
     let told = refused(&empty, "full/tileset.json");
-    assert!(
-        told.ends_with("full: is not empty; tiles are written into a folder of their own"),
-        "{told}"
-    );
+    assert!(told.ends_with("full: is not empty; name a new folder"), "{told}");
     let told = refused(&empty, "no/such/tileset.json");
     assert!(told.contains("such: there is no folder "), "{told}");
     let told = refused(&empty, "full/precious/tileset.json");

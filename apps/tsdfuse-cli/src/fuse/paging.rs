@@ -304,28 +304,37 @@ impl Paging {
 
     /// Saves the whole map.
     pub(super) fn save(&mut self, map: &mut VoxelMap, path: &Path) -> Result<SavedMap> {
-        let start = Instant::now();
-        let mut failed = None;
-        tsdfuse_io::atomic::write(path, |out| {
-            let mut writer = Writer::new(out, map.config(), map.integrations())?;
-            for region in self.pager.regions() {
-                if let Err(error) = self.next_region(map, region) {
-                    failed = Some(error);
-                    return Err(std::io::Error::other("the store cannot be read"));
-                }
-                map.blocks_of(region)
-                    .try_for_each(|(index, block)| writer.block(index, block))?;
-            }
-            writer.finish().map(drop)
-        })
-        .map_err(|error| failed.unwrap_or_else(|| error.into()))?;
-        Ok(SavedMap::written(path, start))
+        save_in_parts(map, &mut self.pager, path)
     }
 
     /// Extracts the surface of the whole map, which must not be empty, and writes it.
     pub(super) fn surface(&mut self, map: &mut VoxelMap, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
         surface_in_parts(map, &mut self.pager, config, path)
     }
+}
+
+/// Saves a map that is not all in memory.
+pub(crate) fn save_in_parts(map: &mut VoxelMap, pager: &mut Pager, path: &Path) -> Result<SavedMap> {
+    let start = Instant::now();
+    let mut failed = None;
+    tsdfuse_io::atomic::write(path, |out| {
+        let mut writer = Writer::new(out, map.config(), map.integrations())?;
+        let saved = pager.for_each_region(map, |map, region| {
+            let mut blocks = map.blocks_of(region);
+            blocks.try_for_each(|(index, block)| writer.block(index, block))?;
+            Ok(())
+        });
+        saved.map_err(|error: anyhow::Error| match error.downcast::<std::io::Error>() {
+            Ok(error) => error,
+            Err(error) => {
+                failed = Some(error);
+                std::io::Error::other("the store cannot be read")
+            }
+        })?;
+        writer.finish().map(drop)
+    })
+    .map_err(|error| failed.unwrap_or_else(|| error.into()))?;
+    Ok(SavedMap::written(path, start))
 }
 
 fn options(memory: Option<Memory>) -> Options {

@@ -224,7 +224,50 @@ fn maps_are_exported_as_arrays_and_as_points() {
     };
     assert!(cloud.len() > 1000 && cloud.iter().all(|p| (p.length() - 2.0).abs() < 0.1));
     let line = tsdfuse(&["map", "export", &map, "-o", &folder.text("a.vdb")]).failed(2);
-    assert!(line.contains("a.vdb: a map is exported as .npz or .ply"), "{line}");
+    assert!(
+        line.contains("a.vdb: a map is exported as .npz, .zarr or .ply"),
+        "{line}"
+    );
+}
+
+#[test]
+#[cfg(feature = "zarr")]
+fn maps_and_stores_are_exported_alike() {
+    let folder = Folder::new();
+    let set = folder.simulate("sphere", "sphere", "pandar64", 6, &[]);
+    let [map, store] = ["sphere.tsdf", "sphere.store"].map(|name| folder.text(name));
+    tsdfuse(&["fuse", &set, "--save-map", &map]).succeeded();
+    tsdfuse(&["fuse", &set, "--store", &store, "--memory", "1M"]).succeeded();
+    let export = |from: &str, to: &str| tsdfuse(&["map", "export", from, "-o", &folder.text(to)]);
+    export(&store, "again.tsdf").succeeded();
+    assert!(fs::read(folder.path("again.tsdf")).unwrap() == fs::read(&map).unwrap());
+    export(&map, "map.zarr").succeeded();
+    export(&store, "store.zarr").succeeded();
+    let files = |name| {
+        let mut files = Vec::new();
+        collect(&folder.path(name), &mut files);
+        files
+    };
+    let of_map = files("map.zarr");
+    assert!(of_map.len() > 10 && of_map == files("store.zarr"));
+    let line = export(&map, "map.zarr").failed(2);
+    assert!(line.contains("map.zarr: is not empty; name a new folder"), "{line}");
+    let line = export(&store, "a.npz").failed(2);
+    assert!(line.contains("a.npz: a store is exported as .zarr or .tsdf"), "{line}");
+}
+
+/// All files below a folder: names and bytes, sorted.
+#[cfg(feature = "zarr")]
+fn collect(folder: &std::path::Path, files: &mut Vec<(std::ffi::OsString, Vec<u8>)>) {
+    let mut entries: Vec<_> = fs::read_dir(folder).unwrap().map(Result::unwrap).collect();
+    entries.sort_by_key(fs::DirEntry::file_name);
+    for entry in entries {
+        if entry.path().is_dir() {
+            collect(&entry.path(), files);
+        } else {
+            files.push((entry.file_name(), fs::read(entry.path()).unwrap()));
+        }
+    }
 }
 
 #[test]

@@ -47,10 +47,7 @@ fn tiles_are_the_same_of_a_run_a_map_and_a_store() {
     assert_eq!(one["mesh"]["triangles"], report["mesh"]["triangles"]);
 
     let told = tsdfuse(&["mesh", &map, "-o", &mapped]).failed(2);
-    assert!(
-        told.contains("mapped: is not empty; tiles are written into a folder of their own"),
-        "{told}"
-    );
+    assert!(told.contains("mapped: is not empty; name a new folder"), "{told}");
     let told = tsdfuse(&["mesh", &map, "-o", &run, "--min-weight=-1"]).failed(2);
     assert!(told.contains("min_weight"), "{told}");
     let told = tsdfuse(&[
