@@ -4,7 +4,8 @@ use wgpu::BufferUsages as Usage;
 
 use crate::device::{Gpu, GpuError};
 
-/// Cells, places, offers, rings (`shaders/image.wgsl`); patches, noise (`shaders/planes.wgsl`).
+/// Cells, places, offers, rings (`shaders/image.wgsl`); patches, noise (`shaders/planes.wgsl`). Or, of other images, where returns are
+/// seen, pixels, and one ring, as the second to the fourth.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Scratch(Vec<wgpu::Buffer>);
 
