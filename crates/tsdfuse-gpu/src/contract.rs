@@ -21,6 +21,7 @@ use crate::{
     method::{METHODS, Prepare},
     prepared::{CELL_BYTES, OFFER_BYTES, PATCH_BYTES, PLACE_BYTES, RING_BYTES, SEEN_BYTES},
     render,
+    scratch::Scratch,
     shader::{ANGLES, FIND_SURFACE, FRAME, KEEP, LINES, Paging, RENDER, SURFACE, WRITE_MESH, source},
     surface::Params,
 };
@@ -223,6 +224,27 @@ fn what_is_tuned_on_the_cpu_is_tuned_here() {
     ] {
         assert_eq!(constant(source, name) as f32, value, "{name}");
     }
+}
+
+#[test]
+fn what_is_counted_and_offered_is_forgotten_before_the_next_scan() {
+    let cleared = |method: Method| {
+        let (_, kernels) = Prepare::new(method, &FuseConfig::default(), None).unwrap();
+        let module = parse(&source(PAGING, &kernels.parts));
+        // The first two bindings are the frame and the returns.
+        let place = |v: &naga::GlobalVariable| v.binding.filter(|at| at.group == 1).map(|at| at.binding as usize);
+        let is_cleared = |at: usize| at.checked_sub(2).is_some_and(|at| Scratch::CLEARED.contains(&at));
+        let variables = module.global_variables.iter().map(|(_, v)| v);
+        let found = variables.filter(|v| place(v).is_some_and(is_cleared));
+        let mut names: Vec<String> = found.filter_map(|v| v.name.clone()).collect();
+        names.sort();
+        names
+    };
+    assert_eq!(cleared(Method::Normals), ["offers", "rings"]);
+    assert_eq!(cleared(Method::Patch), ["offers", "rings"]);
+    assert_eq!(cleared(Method::Cylindrical), ["pixels", "rings"]);
+    assert_eq!(cleared(Method::Depth), ["pixels"]);
+    assert!(cleared(Method::Raycast).is_empty());
 }
 
 #[test]
