@@ -19,8 +19,9 @@ use crate::{
     frame::{ALLOCATE, FUSE, Frame},
     map::{Header, POOL_FULL},
     method::{METHODS, Prepare},
-    prepared::{CELL_BYTES, OFFER_BYTES, PATCH_BYTES, PLACE_BYTES, RING_BYTES},
+    prepared::{CELL_BYTES, OFFER_BYTES, PATCH_BYTES, PLACE_BYTES, RING_BYTES, SEEN_BYTES},
     render,
+    scratch::Scratch,
     shader::{ANGLES, FIND_SURFACE, FRAME, KEEP, LINES, Paging, RENDER, SURFACE, WRITE_MESH, source},
     surface::Params,
 };
@@ -89,7 +90,7 @@ macro_rules! layout {
 fn frame_layout() -> Vec<(String, usize)> {
     layout!(Frame: world_x mode world_y first world_z count anchor_voxel stamp anchor_fraction voxels_per_m turn_axis
         turn_rate velocity truncation_vox max_weight_sum heavy_sum times_at rings_at rings columns max_range_m min_dot
-        total window_m noise_m step_m max_gap_m column_rad columns_per_rad gaps_at nearest_at camera)
+        total window_m noise_m step_m max_gap_m column_rad columns_per_rad gaps_at nearest_at towards_at top per_pitch camera)
 }
 
 #[test]
@@ -134,7 +135,7 @@ fn the_state_has_one_layout() {
         (Header::SIZES, Header::SIZES + 4, Header::LIST)
     );
     // Each counter is read from where it is written.
-    let words: Vec<u8> = (1_u32..=8).flat_map(u32::to_le_bytes).collect();
+    let words: Vec<u8> = (1_u32..=10).flat_map(u32::to_le_bytes).collect();
     let header = Header::parse(&words);
     let named = [
         ("flags", header.flags),
@@ -144,6 +145,8 @@ fn the_state_has_one_layout() {
         ("outside_grid", header.outside_grid),
         ("without_normal", header.without_normal),
         ("without_weight", header.without_weight),
+        ("outside_image", header.outside_image),
+        ("hidden", header.hidden),
         ("lost", header.lost),
     ];
     for (name, word) in named {
@@ -224,16 +227,38 @@ fn what_is_tuned_on_the_cpu_is_tuned_here() {
 }
 
 #[test]
+fn what_is_counted_and_offered_is_forgotten_before_the_next_scan() {
+    let cleared = |method: Method| {
+        let (_, kernels) = Prepare::new(method, &FuseConfig::default(), None).unwrap();
+        let module = parse(&source(PAGING, &kernels.parts));
+        // The first two bindings are the frame and the returns.
+        let place = |v: &naga::GlobalVariable| v.binding.filter(|at| at.group == 1).map(|at| at.binding as usize);
+        let is_cleared = |at: usize| at.checked_sub(2).is_some_and(|at| Scratch::CLEARED.contains(&at));
+        let variables = module.global_variables.iter().map(|(_, v)| v);
+        let found = variables.filter(|v| place(v).is_some_and(is_cleared));
+        let mut names: Vec<String> = found.filter_map(|v| v.name.clone()).collect();
+        names.sort();
+        names
+    };
+    assert_eq!(cleared(Method::Normals), ["offers", "rings"]);
+    assert_eq!(cleared(Method::Patch), ["offers", "rings"]);
+    assert_eq!(cleared(Method::Cylindrical), ["pixels", "rings"]);
+    assert_eq!(cleared(Method::Depth), ["pixels"]);
+    assert!(cleared(Method::Raycast).is_empty());
+}
+
+#[test]
 fn what_kernels_leave_to_each_other_has_one_size() {
-    let (_, kernels) = Prepare::new(Method::Patch, &FuseConfig::default(), None).unwrap();
-    let module = parse(&source(PAGING, &kernels.parts));
-    for (name, bytes) in [
-        ("Cell", CELL_BYTES),
-        ("Place", PLACE_BYTES),
-        ("Offer", OFFER_BYTES),
-        ("Ring", RING_BYTES),
-        ("Patch", PATCH_BYTES),
+    for (method, name, bytes) in [
+        (Method::Patch, "Cell", CELL_BYTES),
+        (Method::Patch, "Place", PLACE_BYTES),
+        (Method::Patch, "Offer", OFFER_BYTES),
+        (Method::Patch, "Ring", RING_BYTES),
+        (Method::Patch, "Patch", PATCH_BYTES),
+        (Method::Cylindrical, "Seen", SEEN_BYTES),
     ] {
+        let (_, kernels) = Prepare::new(method, &FuseConfig::default(), None).unwrap();
+        let module = parse(&source(PAGING, &kernels.parts));
         let found = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name));
         let Some(TypeInner::Struct { span, .. }) = found.map(|(_, t)| &t.inner) else {
             panic!("there is no struct {name}");

@@ -39,8 +39,9 @@ pub(crate) struct Frame {
     pub(crate) columns_per_rad: f32,
     pub(crate) gaps_at: u32,
     pub(crate) nearest_at: u32,
-    /// Vectors of four begin at multiples of 16 bytes.
-    pub(crate) pad: [u32; 3],
+    pub(crate) towards_at: u32,
+    pub(crate) top: f32,
+    pub(crate) per_pitch: f32,
     pub(crate) camera: [f32; 4],
 }
 

@@ -65,8 +65,6 @@ struct Kernel {
 #[derive(Debug)]
 struct Sent {
     flight: Flight,
-    /// What the CPU left out.
-    skipped: Skipped,
     /// The number of scans with it.
     integrations: u32,
 }
@@ -161,13 +159,8 @@ impl Fuser {
         };
         let integrations = if frames.is_empty() { before } else { next };
         let mut flight = Flight::load(self.idle.pop(), gpu, &self.layout, frames, &parcel)?;
-        let skipped = prepared.skipped;
         self.send(&mut flight, true);
-        self.flights.push_back(Sent {
-            flight,
-            skipped,
-            integrations,
-        });
+        self.flights.push_back(Sent { flight, integrations });
         Ok(std::mem::take(&mut self.done))
     }
 
@@ -276,10 +269,6 @@ impl Fuser {
             return Ok(());
         };
         self.map.integrations = sent.integrations;
-        let mut skipped = sent.skipped;
-        skipped.outside_grid += u64::from(header.outside_grid);
-        skipped.without_normal += u64::from(header.without_normal);
-        skipped.without_weight += u64::from(header.without_weight);
         let name = sent.flight.name.clone();
         self.idle.push(sent.flight);
         if header.lost > 0 {
@@ -291,7 +280,13 @@ impl Fuser {
             name,
             updated_blocks: header.updated.into(),
             fused_returns: header.fused.into(),
-            skipped,
+            skipped: Skipped {
+                outside_grid: header.outside_grid.into(),
+                without_normal: header.without_normal.into(),
+                without_weight: header.without_weight.into(),
+                outside_image: header.outside_image.into(),
+                hidden: header.hidden.into(),
+            },
         });
         Ok(())
     }
@@ -300,7 +295,7 @@ impl Fuser {
 /// What each dispatch is told: first those that make blocks, then those that update.
 fn frames(prepared: &Prepared<'_>, map: &VoxelMap, stamp: u32, by_block: bool) -> Result<Vec<Frame>, GpuError> {
     let (all, weights) = (prepared.items, &prepared.weights);
-    let mut frame = Frame::of(&prepared.scan, map)?;
+    let mut frame = Frame::of(prepared.scan, map)?;
     frame.stamp = stamp;
     prepared.place_columns(&mut frame);
     // No voxel's sums may overflow before its weight is limited again.

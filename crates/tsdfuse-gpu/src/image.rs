@@ -1,13 +1,14 @@
-//! The device's organized images, against the CPU's.
+//! The device's images of scans, against the CPU's: which return each cell or pixel has.
 
 use tsdfuse::{
-    MapConfig, Scan, SensorModel,
-    fuse::{FuseConfig, Method},
+    MapConfig, Scan, SensorModel, VoxelMap,
+    fuse::{FuseConfig, Method, twin},
     glam::Vec3,
-    sensor::{NO_RING, NONE, ScanImage, model},
+    scan::Motion,
+    sensor::{Cylindrical, DepthImage, NO_RING, NONE, Pinhole, ScanImage, model},
 };
 
-use crate::{DeviceMap, Fuser, PoolConfig, device::tests::gpu, map::words, prepared::CELL_BYTES};
+use crate::{DeviceMap, Fused, Fuser, PoolConfig, device::tests::gpu, map::words};
 
 const POOL: PoolConfig = PoolConfig {
     first_blocks: 1 << 15,
@@ -15,14 +16,11 @@ const POOL: PoolConfig = PoolConfig {
     pages: 1,
 };
 
-/// The return in each cell, on the CPU and on the device.
-fn cells(scan: &Scan, sensor: &SensorModel) -> Option<[Vec<u32>; 2]> {
+/// What became of a scan, and what its kernels left in a buffer.
+fn left(scan: &Scan, method: Method, sensor: Option<&SensorModel>, buffer: usize) -> Option<(Fused, Vec<u32>)> {
     let gpu = gpu()?;
-    let mut image = ScanImage::new();
-    image.update(&scan.points, scan.rings.as_deref().unwrap(), sensor);
-    let want: Vec<u32> = (0..image.rings()).flat_map(|ring| image.row(ring)).copied().collect();
     let map = DeviceMap::new(&gpu, MapConfig::default(), POOL).unwrap();
-    let mut fuser = Fuser::new(map, Method::Normals, &FuseConfig::default(), Some(sensor)).unwrap();
+    let mut fuser = Fuser::new(map, method, &FuseConfig::default(), sensor).unwrap();
     // Nothing is left of the scan before.
     let other = Scan {
         points: scan.points.iter().map(|p| *p * Vec3::new(1.0, -1.0, 1.0)).collect(),
@@ -30,11 +28,29 @@ fn cells(scan: &Scan, sensor: &SensorModel) -> Option<[Vec<u32>; 2]> {
     };
     fuser.integrate(&other).unwrap();
     fuser.integrate(scan).unwrap();
-    fuser.finish().unwrap();
-    let bytes = gpu
-        .read(&fuser.scratch()[0], 0, CELL_BYTES * want.len() as u64)
-        .unwrap();
-    Some([want, words(&bytes).skip(3).step_by(4).collect()])
+    let mut done = fuser.finish().unwrap();
+    let buffer = &fuser.scratch()[buffer];
+    let bytes = gpu.read(buffer, 0, buffer.size()).unwrap();
+    Some((done.pop().unwrap(), words(&bytes).collect()))
+}
+
+/// Asserts that a scan had the same fate on the device as on the CPU.
+fn assert_fate(done: &Fused, scan: &Scan, method: Method, sensor: Option<&SensorModel>) {
+    let mut map = VoxelMap::new(MapConfig::default()).unwrap();
+    let mut integrator = method.build(&FuseConfig::default(), sensor);
+    let want = integrator.integrate(&mut map, scan).unwrap();
+    assert_eq!((done.fused_returns, done.skipped), (want.fused_returns, want.skipped));
+    assert!(want.skipped.hidden > 1000 && want.skipped.outside_image > 3, "{want:?}");
+}
+
+/// Asserts that entries are the same but for a few, and that the comparison sees them move by one.
+fn assert_same(want: &[u32], got: &[u32], none: u32, what: &str) {
+    let differing = |got: &[u32]| want.iter().zip(got).filter(|(a, b)| a != b).count();
+    let filled = want.iter().filter(|entry| **entry != none).count();
+    let (all, wrong) = (want.len(), differing(got));
+    eprintln!("{what}: {wrong} of {all} differ, {filled} are filled");
+    assert!(filled > 1000 && all == got.len() && wrong <= all / 10_000, "{what}");
+    assert!(differing(&got[1..]) > filled / 2);
 }
 
 /// A turn of a sensor whose rings have phases of their own; azimuths are rounded down to steps.
@@ -82,19 +98,86 @@ fn cells_are_the_cpus() {
         ("coarse", turn(&vlp, 500.0), &vlp),
         ("hostile", hostile, &vlp),
     ] {
-        let Some([want, got]) = cells(&scan, sensor) else {
+        let mut image = ScanImage::new();
+        image.update(&scan.points, scan.rings.as_deref().unwrap(), sensor);
+        let want: Vec<u32> = (0..image.rings()).flat_map(|ring| image.row(ring)).copied().collect();
+        let Some((_, words)) = left(&scan, Method::Normals, Some(sensor), 0) else {
             return;
         };
-        let filled = want.iter().filter(|i| **i != NONE).count();
-        let differing = want.iter().zip(&got).filter(|(a, b)| a != b).count();
-        eprintln!(
-            "{name}: {differing} of {} cells differ, {filled} are filled",
-            want.len()
-        );
-        assert!(filled > want.len() / 4 && want.len() == got.len());
-        assert!(differing <= want.len() / 10_000, "{name}");
-        // A turn by one column shows.
-        let turned = want.iter().zip(got.iter().skip(1));
-        assert!(turned.filter(|(a, b)| a != b).count() > filled / 2);
+        let got: Vec<u32> = words.into_iter().skip(3).step_by(4).take(want.len()).collect();
+        assert_same(&want, &got, NONE, name);
     }
+}
+
+/// Points in front of one half of the scan's, behind another, and at the same places; and some that are none.
+fn crowd(mut scan: Scan) -> Scan {
+    let beside = |(i, p): (usize, &Vec3)| *p * [0.5, 1.0, 2.0][i % 3];
+    scan.points.extend(scan.points.clone().iter().enumerate().map(beside));
+    let nowhere = [Vec3::NAN, Vec3::ZERO, Vec3::Z, Vec3::new(1.0, f32::INFINITY, 0.0)];
+    scan.points.splice(100..100, nowhere);
+    scan
+}
+
+#[test]
+fn pixels_of_cylindrical_images_have_the_cpus_returns() {
+    let vlp = model("vlp16").unwrap();
+    for (name, steps) in [("exact", 1e6), ("rounded", 4000.0), ("coarse", 500.0)] {
+        let mut scan = crowd(turn(&vlp, steps));
+        scan.rings = None;
+        let time = |i: usize| if i % 1000 == 7 { f32::NAN } else { 1e-6 * i as f32 };
+        scan.times = Some((0..scan.points.len()).map(time).collect());
+        scan.motion = Some(Motion {
+            pose: tsdfuse::Pose {
+                translation: tsdfuse::glam::DVec3::X,
+                ..Default::default()
+            },
+            secs: 0.1,
+        });
+        let image = twin::cylindrical_image(&vlp, Cylindrical::phase_of(&scan.points, vlp.columns));
+        let mut want = vec![NONE; image.rows() * image.columns()];
+        let depth = |i: u32| image.project(scan.points[i as usize]).depth_m;
+        for (i, &p) in (0..).zip(&scan.points) {
+            if let Some((row, column)) = image.pixel(image.project(p)) {
+                let holder = &mut want[row * image.columns() + column];
+                if *holder == NONE || depth(i) < depth(*holder) {
+                    *holder = i;
+                }
+            }
+        }
+        let Some((done, words)) = left(&scan, Method::Cylindrical, Some(&vlp), 2) else {
+            return;
+        };
+        let got: Vec<u32> = words.iter().skip(want.len()).take(want.len()).map(|i| !i).collect();
+        assert_same(&want, &got, NONE, name);
+        assert_fate(&done, &scan, Method::Cylindrical, Some(&vlp));
+        assert!(done.skipped.outside_grid > 0); // without a time
+    }
+}
+
+#[test]
+fn depths_of_pixels_are_the_cpus() {
+    let camera = Pinhole::with_fov(80, 60, 1.1);
+    let point = |i: usize| {
+        // Beyond the borders, too.
+        let (u, v) = (
+            (i * 7919 % 9001) as f32 * 0.01 - 5.0,
+            (i * 104_729 % 7001) as f32 * 0.01 - 5.0,
+        );
+        camera.ray(u, v) * (1.0 + (i % 13) as f32 * 0.25)
+    };
+    let scan = crowd(Scan {
+        points: (0..20_000).map(point).collect(),
+        camera: Some(camera),
+        ..Default::default()
+    });
+    let mut image = DepthImage::default();
+    image.render(&camera, &scan.points, |p| p);
+    let want: Vec<u32> = image.depths_m.iter().map(|depth| depth.to_bits()).collect();
+    let Some((done, words)) = left(&scan, Method::Depth, None, 2) else {
+        return;
+    };
+    let depth = |flipped: &u32| if *flipped == 0 { 0 } else { !flipped };
+    let got: Vec<u32> = words.iter().take(want.len()).map(depth).collect();
+    assert_same(&want, &got, 0, "depths");
+    assert_fate(&done, &scan, Method::Depth, None);
 }

@@ -2,7 +2,10 @@
 
 use crate::constants::CONSTANTS;
 use crate::frame::Frame;
-use crate::shader::{ANGLES, CARVE, CYLINDER, DEPTH, FRAME, IMAGE, LINES, NORMALS, ONE_LINE, PATCH, PLANES};
+use crate::shader::{
+    ANGLES, CARVE, CYLINDER, CYLINDRICAL, DEPTH, EUCLIDEAN, FRAME, IMAGE, LINES, NORMALS, ONE_LINE, PATCH, PHASES,
+    PIXELS, PLANES,
+};
 
 /// A kernel, and how much of it runs.
 #[derive(Clone, Copy, Debug)]
@@ -88,13 +91,31 @@ impl Kernels {
 
     /// Those of depth images.
     pub(crate) fn depth() -> Self {
-        let step = |name, entry, work| Step { name, entry, work };
         Self {
-            parts: vec![FRAME, DEPTH],
-            before: Vec::new(),
-            allocate: step("allocate", "allocate_depth", Work::Returns(1)),
-            fuse: step("fuse", "fuse_depth", Work::Blocks),
+            parts: vec![FRAME, PIXELS, DEPTH],
+            before: vec![step("find_depths", Work::Scan)],
+            allocate: Step {
+                entry: "allocate_depth",
+                ..step("allocate", Work::Returns(1))
+            },
+            fuse: Step {
+                entry: "fuse_depth",
+                ..step("fuse", Work::Blocks)
+            },
             after: Vec::new(),
+        }
+    }
+
+    /// Those of cylindrical images.
+    pub(crate) fn cylindrical() -> Self {
+        Self {
+            before: vec![
+                step("count_parts", Work::Scan),
+                step("find_phase", Work::Once),
+                step("offer_pixels", Work::Scan),
+                step("choose_nearest", Work::Scan),
+            ],
+            ..Self::one_line(&[&CONSTANTS, ANGLES, PHASES, PIXELS, EUCLIDEAN, CYLINDRICAL])
         }
     }
 
@@ -102,7 +123,7 @@ impl Kernels {
     pub(crate) fn normals() -> Self {
         Self {
             before: image(),
-            ..Self::one_line(&[&CONSTANTS, ANGLES, IMAGE, CYLINDER, NORMALS])
+            ..Self::one_line(&[&CONSTANTS, ANGLES, PHASES, IMAGE, CYLINDER, NORMALS])
         }
     }
 
@@ -116,7 +137,7 @@ impl Kernels {
         Self {
             before,
             after: carves.then(|| step("carve", Work::Blocks)).into_iter().collect(),
-            ..Self::lines(3, &[&CONSTANTS, ANGLES, IMAGE, PLANES, CYLINDER, PATCH, CARVE])
+            ..Self::lines(3, &[&CONSTANTS, ANGLES, PHASES, IMAGE, PLANES, CYLINDER, PATCH, CARVE])
         }
     }
 }

@@ -4,7 +4,7 @@
 //!   table    4 words an entry: a block's coordinates, its slot + 1                (5.1), open addressing
 //!   blocks   4 words a slot:   the block's coordinates, the scan that updated it last
 //!   pool     4096 bytes a slot: 512 voxels of two sums; in pages of one buffer each, since a binding holds only so much
-//!   state    16 words of counters (`Header`), then the slots that the last scan updated
+//!   state    counters (`Header`) and sizes, 13 words, then the slots that the last scan updated
 //! ```
 //!
 //! Blocks are made on the device, in any order, so slots differ from run to run; sums do not, since integers are added.
@@ -81,17 +81,19 @@ pub(crate) struct Header {
     pub(crate) outside_grid: u32,
     pub(crate) without_normal: u32,
     pub(crate) without_weight: u32,
+    pub(crate) outside_image: u32,
+    pub(crate) hidden: u32,
     pub(crate) lost: u32,
 }
 
 impl Header {
     /// Its bytes, and those of what follows it before the list.
-    pub(crate) const BYTES: u64 = 36;
+    pub(crate) const BYTES: u64 = 44;
     /// Where the counters of one scan begin; they end with the header.
     pub(crate) const SCAN: u64 = 8;
     /// Table mask and capacity come next, then the list.
-    pub(crate) const SIZES: u64 = 36;
-    pub(crate) const LIST: u64 = 44;
+    pub(crate) const SIZES: u64 = 44;
+    pub(crate) const LIST: u64 = 52;
 
     pub(crate) fn parse(bytes: &[u8]) -> Self {
         let word = |i| words(bytes).nth(i).unwrap_or_default();
@@ -103,7 +105,9 @@ impl Header {
             outside_grid: word(4),
             without_normal: word(5),
             without_weight: word(6),
-            lost: word(7),
+            outside_image: word(7),
+            hidden: word(8),
+            lost: word(9),
         }
     }
 }

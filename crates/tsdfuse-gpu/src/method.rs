@@ -1,17 +1,15 @@
-//! What the CPU does for a method before a scan is sent: what the very code of the CPU's method does, up to the returns' geometry.
-
-use std::borrow::Cow;
+//! What a method needs to know of a scan before that is sent: of its sensor, by the very code of the CPU's method.
 
 use tsdfuse::{
     Scan, SensorModel,
-    fuse::{Beams, Cylindrical, Distance, FuseConfig, FuseError, Method, PatchConfig, Skipped, twin},
+    fuse::{Beams, Distance, FuseConfig, FuseError, Method, PatchConfig, twin},
     normals::{Estimator, NormalsConfig},
-    sensor::{DepthImage, rings_of},
+    sensor::{Pinhole, rings_of},
 };
 
 use crate::device::GpuError;
 use crate::kernels::Kernels;
-use crate::prepared::{Image, Prepared, Surface, range_weights, weights};
+use crate::prepared::{Cylinder, Image, Prepared, Surface, range_weights, weights};
 use crate::shader::{EUCLIDEAN, PROJECTIVE, RAYCAST};
 
 /// The methods that run on the device.
@@ -23,17 +21,17 @@ pub const METHODS: [Method; 5] = [
     Method::Patch,
 ];
 
-/// The CPU's part of a method.
+/// What is known of the sensor, by method.
 #[derive(Debug)]
 pub(crate) enum Prepare {
     /// The returns as they are.
     Raycast,
     /// Who is whose neighbour.
     Normals { config: NormalsConfig, beams: Beams },
-    /// The returns, rounded to pixels.
-    Cylindrical(Box<Cylindrical>),
-    /// The depth image.
-    Depth(Box<DepthImage>),
+    /// The sensor's image.
+    Cylindrical { beams: Beams, image: Option<Cylinder> },
+    /// The camera.
+    Depth,
     /// Who is whose neighbour, and the sensor's angles.
     Patch {
         config: PatchConfig,
@@ -60,8 +58,11 @@ impl Prepare {
         match method {
             Method::Raycast => Ok((Self::Raycast, Kernels::one_line(&[form, RAYCAST]))),
             Method::Cylindrical => {
-                let round = Self::Cylindrical(Box::new(Cylindrical::new(sensor)));
-                Ok((round, Kernels::one_line(&[EUCLIDEAN, RAYCAST])))
+                let image = Self::Cylindrical {
+                    beams: Beams::new(sensor),
+                    image: None,
+                };
+                Ok((image, Kernels::cylindrical()))
             }
             Method::Normals if config.normals.estimator == Estimator::Adjacent => {
                 let neighbours = Self::Normals {
@@ -74,7 +75,7 @@ impl Prepare {
                 let what = "normals.estimator = holz does not run on the GPU; adjacent does";
                 Err(GpuError::Unsupported(what.into()))
             }
-            Method::Depth => Ok((Self::Depth(Box::default()), Kernels::depth())),
+            Method::Depth => Ok((Self::Depth, Kernels::depth())),
             Method::Patch => {
                 let PatchConfig { noise_m, carve, .. } = config.patch;
                 let neighbours = Self::Patch {
@@ -92,33 +93,36 @@ impl Prepare {
         }
     }
 
-    /// What the CPU does to a scan before it is sent.
+    /// A scan, and what kernels are to know of it.
     pub(crate) fn prepare<'a>(&'a mut self, scan: &'a Scan) -> Result<Prepared<'a>, GpuError> {
         let as_it_is = |weights| Prepared {
-            scan: Cow::Borrowed(scan),
-            skipped: Skipped::default(),
+            scan,
             weights,
             items: scan.points.len(),
             image: None,
             surface: None,
-            depth: None,
+            cylinder: None,
+            camera: None,
         };
-        if let Self::Depth(image) = self {
-            return depth(scan, image);
+        if let Self::Depth = self {
+            let camera = camera_of(scan)?;
+            return Ok(Prepared {
+                items: camera.pixels(),
+                camera: Some(camera),
+                ..as_it_is(vec![1.0])
+            });
         }
         if scan.points.is_empty() {
             return Ok(as_it_is(Vec::new()));
         }
         match self {
-            Self::Raycast | Self::Depth(_) => Ok(as_it_is(range_weights(&scan.points))),
-            Self::Cylindrical(method) => {
-                let (rounded, skipped) = method.round(scan)?;
+            Self::Raycast | Self::Depth => Ok(as_it_is(range_weights(&scan.points))),
+            Self::Cylindrical { beams, image } => {
+                let sensor = beams.of(scan)?;
+                let cylinder = image.get_or_insert_with(|| Cylinder::of(sensor));
                 Ok(Prepared {
-                    items: rounded.points.len(),
-                    weights: range_weights(&rounded.points),
-                    scan: Cow::Owned(rounded),
-                    skipped,
-                    ..as_it_is(Vec::new())
+                    cylinder: Some(cylinder),
+                    ..as_it_is(cylinder.weights(&scan.points))
                 })
             }
             Self::Normals { config, beams } => {
@@ -172,8 +176,8 @@ impl Angles {
     }
 }
 
-/// The depth image of a scan.
-fn depth<'a>(scan: &'a Scan, image: &'a mut DepthImage) -> Result<Prepared<'a>, GpuError> {
+/// The camera that took a scan.
+fn camera_of(scan: &Scan) -> Result<Pinhole, GpuError> {
     let wrong = |reason: String| FuseError::Image {
         scan: scan.name.clone(),
         reason,
@@ -182,18 +186,5 @@ fn depth<'a>(scan: &'a Scan, image: &'a mut DepthImage) -> Result<Prepared<'a>, 
         .camera
         .ok_or_else(|| wrong("is not the image of a depth camera, which this method needs".into()))?;
     camera.check().map_err(|e| wrong(e.to_string()))?;
-    image.render(&camera, &scan.points, |p| p);
-    Ok(Prepared {
-        scan: Cow::Borrowed(scan),
-        skipped: Skipped {
-            hidden: image.hidden,
-            outside_image: image.outside,
-            ..Skipped::default()
-        },
-        weights: vec![1.0],
-        items: camera.pixels(),
-        image: None,
-        surface: None,
-        depth: Some((camera, &image.depths_m)),
-    })
+    Ok(camera)
 }

@@ -7,8 +7,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 use tsdfuse::{
     Scan, SensorModel,
-    fuse::{PatchConfig, Skipped, twin},
-    glam::Vec3,
+    fuse::{PatchConfig, twin},
+    glam::{Vec2, Vec3},
     sensor::Pinhole,
 };
 
@@ -16,16 +16,15 @@ use crate::frame::Frame;
 
 /// A scan as it is sent.
 pub(crate) struct Prepared<'a> {
-    pub(crate) scan: Cow<'a, Scan>,
-    /// What was left out on the way.
-    pub(crate) skipped: Skipped,
+    pub(crate) scan: &'a Scan,
     /// The most that returns can add to the weight of one voxel: of each [`PART`] of them.
     pub(crate) weights: Vec<f32>,
     /// Returns, or pixels.
     pub(crate) items: usize,
     pub(crate) image: Option<Image<'a>>,
     pub(crate) surface: Option<Surface<'a>>,
-    pub(crate) depth: Option<(Pinhole, &'a [f32])>,
+    pub(crate) cylinder: Option<&'a Cylinder>,
+    pub(crate) camera: Option<Pinhole>,
 }
 
 /// What makes the organized image of a scan.
@@ -44,6 +43,18 @@ pub(crate) struct Surface<'a> {
     pub(crate) gaps: &'a [f32],
     /// The nearest ring of each bin of elevation.
     pub(crate) nearest: &'a [u32],
+}
+
+/// The cylindrical image of a sensor, for a phase of 0.
+#[derive(Debug)]
+pub(crate) struct Cylinder {
+    size: [u32; 2],
+    /// The tangent of row 0.
+    top: f32,
+    /// Height of a row (as a tangent) and width of a column (radians).
+    pitch: f32,
+    /// Unit vectors in the horizontal plane towards each column.
+    towards: Vec<Vec2>,
 }
 
 /// Returns whose weights are summed up together.
@@ -90,6 +101,25 @@ impl<'a> Image<'a> {
     }
 }
 
+impl Cylinder {
+    /// That of a sensor.
+    pub(crate) fn of(sensor: &SensorModel) -> Self {
+        let image = twin::cylindrical_image(sensor, 0.0);
+        let center = |column| image.unproject(0, column, 1.0);
+        Self {
+            size: [image.rows() as u32, image.columns() as u32],
+            top: center(0).z,
+            pitch: image.pitch(),
+            towards: (0..image.columns()).map(|column| center(column).truncate()).collect(),
+        }
+    }
+
+    /// The most that returns weigh (5.8): centres of their pixels may be nearer by half a diagonal.
+    pub(crate) fn weights(&self, points: &[Vec3]) -> Vec<f32> {
+        weights(points, |range_m| 1.0 / (range_m * (1.0 - self.pitch)).max(1.0))
+    }
+}
+
 /// Lines between two returns that may update one voxel: they are at least ¾ voxel apart where there are two, 9/8 where there are
 /// three, and reach 1.73 voxels.
 const MOST_BETWEEN: f32 = 4.0;
@@ -114,17 +144,17 @@ impl Surface<'_> {
 }
 
 impl Prepared<'_> {
-    /// What is sent: points, times if returns are placed by them, the sensor's angles, rings; of a depth image its depths alone.
+    /// What is sent: points, times if returns are placed by them, the sensor's angles, rings.
     pub(crate) fn columns(&self) -> Vec<&[u8]> {
-        if let Some((_, depths)) = &self.depth {
-            return vec![bytemuck::cast_slice(depths)];
-        }
         let mut columns = vec![
             bytemuck::cast_slice(&self.scan.points),
             bytemuck::cast_slice(self.times()),
         ];
         if let Some(Surface { gaps, nearest, .. }) = &self.surface {
             columns.extend([bytemuck::cast_slice(gaps), bytemuck::cast_slice(nearest)]);
+        }
+        if let Some(cylinder) = self.cylinder {
+            columns.push(bytemuck::cast_slice(&cylinder.towards));
         }
         if let Some(image) = &self.image {
             columns.push(bytemuck::cast_slice(&image.rings));
@@ -134,12 +164,6 @@ impl Prepared<'_> {
 
     /// Tells kernels where these columns begin.
     pub(crate) fn place_columns(&self, frame: &mut Frame) {
-        if let Some((camera, depths)) = &self.depth {
-            frame.camera = [camera.fx, camera.fy, camera.cx, camera.cy];
-            (frame.columns, frame.rings) = (camera.width, camera.height);
-            frame.max_range_m = depths.iter().copied().fold(0.0, f32::max);
-            return;
-        }
         frame.total = self.scan.points.len() as u32;
         let mut next = 3 * self.scan.points.len();
         let mut place = |column: usize| {
@@ -161,6 +185,17 @@ impl Prepared<'_> {
             (frame.window_m, frame.noise_m, frame.max_gap_m) = (window_m, noise_m, max_gap_m);
             frame.step_m = twin::STEP / frame.voxels_per_m;
         }
+        if let Some(camera) = self.camera {
+            frame.camera = [camera.fx, camera.fy, camera.cx, camera.cy];
+            [frame.rings, frame.columns] = [camera.height, camera.width];
+        }
+        if let Some(cylinder) = self.cylinder {
+            frame.towards_at = place(2 * cylinder.towards.len());
+            [frame.rings, frame.columns] = cylinder.size;
+            (frame.top, frame.column_rad) = (cylinder.top, cylinder.pitch);
+            frame.columns_per_rad = frame.columns as f32 / TAU;
+            frame.per_pitch = 1.0 / cylinder.pitch;
+        }
         if let Some(image) = &self.image {
             frame.rings_at = place(image.rings.len().div_ceil(2));
             [frame.rings, frame.columns] = image.size;
@@ -172,13 +207,21 @@ impl Prepared<'_> {
 
     /// Bytes of the buffers beside the scan that its kernels use: see [`Scratch`](crate::scratch::Scratch).
     pub(crate) fn scratch(&self) -> Vec<u64> {
+        let returns = self.scan.points.len() as u64;
+        if let Some(camera) = self.camera {
+            return vec![0, 0, 4 * (camera.pixels() as u64 + 1)];
+        }
+        if let Some(cylinder) = self.cylinder {
+            let pixels: u64 = cylinder.size.map(u64::from).iter().product();
+            return vec![0, SEEN_BYTES * returns, 8 * pixels, RING_BYTES];
+        }
         let Some(Image {
             size: [rings, columns], ..
         }) = self.image
         else {
             return Vec::new();
         };
-        let (returns, rings) = (self.scan.points.len() as u64, u64::from(rings));
+        let rings = u64::from(rings);
         let cells = rings * u64::from(columns);
         let mut bytes = vec![
             CELL_BYTES * cells,
@@ -200,6 +243,7 @@ impl Prepared<'_> {
 /// Of the kernels' structs.
 pub(crate) const CELL_BYTES: u64 = 16;
 pub(crate) const PLACE_BYTES: u64 = 8;
+pub(crate) const SEEN_BYTES: u64 = 8;
 pub(crate) const OFFER_BYTES: u64 = 12;
 pub(crate) const RING_BYTES: u64 = 132;
 pub(crate) const PATCH_BYTES: u64 = 32;
@@ -217,5 +261,27 @@ mod tests {
         assert_eq!(cut(9, 7.0), [0..2 * PART, 2 * PART..4 * PART, 4 * PART..all]);
         assert_eq!(cut(2, 100.0), [0..2 * PART, 2 * PART..4 * PART, 4 * PART..all]);
         assert_eq!(pieces(&[], 0, PART, 1.0), []);
+    }
+
+    #[test]
+    fn centers_of_pixels_weigh_no_more_than_was_thought() {
+        for columns in [6, 40, 1800] {
+            let sensor = SensorModel::from_beams("few", vec![-60.0, 0.0, 50.0], columns, (0.1, 100.0)).unwrap();
+            let (image, cylinder) = (twin::cylindrical_image(&sensor, 0.0), Cylinder::of(&sensor));
+            let mut heavier = 0;
+            for i in 0..5000_u16 {
+                let f = f32::from(i);
+                let p = Vec3::new((0.7 * f).sin(), (0.7 * f).cos(), 2.5 * (1.3 * f).sin()) * (0.9 + 0.001 * f);
+                let seen = image.project(p);
+                let Some((row, column)) = image.pixel(seen) else {
+                    continue;
+                };
+                let center = image.unproject(row, column, seen.depth_m);
+                let weight = range_weights(&[center])[0];
+                assert!(weight <= cylinder.weights(&[p])[0], "{p} {center}");
+                heavier += usize::from(weight > range_weights(&[p])[0]);
+            }
+            assert!(heavier > 500, "{heavier}");
+        }
     }
 }

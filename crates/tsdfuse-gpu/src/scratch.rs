@@ -1,10 +1,13 @@
 //! Buffers that the kernels of one scan leave to those after them: used scan after scan, since scans come one after the other there.
 
+use std::ops::Range;
+
 use wgpu::BufferUsages as Usage;
 
 use crate::device::{Gpu, GpuError};
 
-/// Cells, places, offers, rings (`shaders/image.wgsl`); patches, noise (`shaders/planes.wgsl`).
+/// Cells, places, offers, rings (`shaders/image.wgsl`); patches, noise (`shaders/planes.wgsl`). Or, of other images, where returns are
+/// seen, pixels, and one ring, as the second to the fourth.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Scratch(Vec<wgpu::Buffer>);
 
@@ -14,6 +17,8 @@ const LEAST_BYTES: u64 = 64;
 impl Scratch {
     /// How many there are.
     pub(crate) const BUFFERS: usize = 6;
+    /// Those whose contents are of one scan alone.
+    pub(crate) const CLEARED: Range<usize> = 2..4;
 
     /// Makes room for a scan that needs so many bytes of each. Scans under way keep those that they have a clone of.
     pub(crate) fn fit(&mut self, gpu: &Gpu, bytes: &[u64]) -> Result<(), GpuError> {
@@ -35,7 +40,7 @@ impl Scratch {
 
     /// Forgets what was counted and offered.
     pub(crate) fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
-        self.0[2..4]
+        self.0[Self::CLEARED]
             .iter()
             .for_each(|buffer| encoder.clear_buffer(buffer, 0, None));
     }

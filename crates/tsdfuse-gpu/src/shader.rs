@@ -96,6 +96,7 @@ pub(crate) const CYLINDER: &str = include_str!("shaders/cylinder.wgsl");
 pub(crate) const ONE_LINE: &str = include_str!("shaders/one_line.wgsl");
 pub(crate) const NORMALS: &str = include_str!("shaders/normals.wgsl");
 
+pub(crate) const PHASES: &str = include_str!("shaders/phases.wgsl");
 pub(crate) const IMAGE: &str = include_str!("shaders/image.wgsl");
 pub(crate) const PLANES: &str = include_str!("shaders/planes.wgsl");
 pub(crate) const PATCH: &str = include_str!("shaders/patch.wgsl");
@@ -103,6 +104,8 @@ pub(crate) const CARVE: &str = include_str!("shaders/carve.wgsl");
 
 pub(crate) const RENDER: &str = include_str!("shaders/render.wgsl");
 
+pub(crate) const PIXELS: &str = include_str!("shaders/pixels.wgsl");
+pub(crate) const CYLINDRICAL: &str = include_str!("shaders/cylindrical.wgsl");
 pub(crate) const DEPTH: &str = include_str!("shaders/depth.wgsl");
 
 /// What a binding is.

@@ -1,11 +1,39 @@
-// Depth images: see `tsdfuse::fuse::depth`, whose blocks and voxels these are. `returns` holds the depth of each pixel,
-// metres along the optical axis, 0 where nothing was measured.
+// Depth images: see `tsdfuse::sensor::DepthImage`, whose pixels these are, and `tsdfuse::fuse::depth`, whose blocks and voxels. Depths are
+// measured along the optical axis; after them, `pixels` has the largest one.
 
 // An axis along which a line moves slower than this counts as standing still.
 const STILL: f32 = 1e-9;
 
+// The pixel in which a point of the camera's frame is seen, or NONE.
+fn pixel_of(p: vec3<f32>) -> u32 {
+    let seen = frame.camera.zw - frame.camera.xy * p.yz * (1.0 / p.x) + 0.5;
+    let inside = p.x > 0.0 && all(seen >= vec2(0.0)) && seen.x < f32(frame.columns) && seen.y < f32(frame.rings);
+    return select(NONE, u32(seen.x) + u32(seen.y) * frame.columns, inside);
+}
+
+var<workgroup> farthest: atomic<u32>;
+
+// Finds the depth of each pixel.
+@compute @workgroup_size(64)
+fn find_depths(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    for (var i = id.x; i < frame.total; i += 64u * groups.x) {
+        let p = point_of(i);
+        let pixel = select(NONE, pixel_of(p), is_finite(bitcast<vec3<u32>>(p)));
+        offer(pixel, p.x);
+        if pixel != NONE {
+            atomicMax(&farthest, bitcast<u32>(p.x));
+        }
+    }
+    tell_offers(lane);
+    if lane == 0u {
+        atomicMax(&pixels[pixel_count()], atomicLoad(&farthest));
+    }
+}
+
+// The depth of a pixel, metres; 0 where nothing was measured.
 fn depth_in(pixel: u32) -> f32 {
-    return bitcast<f32>(returns[pixel]);
+    let bits = depth_bits(pixel);
+    return bitcast<f32>(select(bits, 0u, bits == NONE));
 }
 
 // The point at depth 1 that is seen at some column and row, camera's axes.
@@ -79,7 +107,8 @@ fn sees(center: vec3<f32>, radius: f32, truncation_m: f32) -> bool {
     let b = ray_through(-0.5, bottom);
     let c = ray_through(right, bottom);
     let d = ray_through(right, -0.5);
-    return center.x <= frame.max_range_m + truncation_m + radius && within(a, b, center, radius)
+    let reach_m = bitcast<f32>(atomicLoad(&pixels[pixel_count()]));
+    return center.x <= reach_m + truncation_m + radius && within(a, b, center, radius)
         && within(b, c, center, radius) && within(c, d, center, radius) && within(d, a, center, radius);
 }
 
@@ -102,14 +131,11 @@ fn fuse_depth(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) 
         for (var local = lane; local < BLOCK_VOXELS; local += 64u) {
             let at = vec3<f32>(vec3(local & 7u, local >> 3u & 7u, local >> 6u));
             let x = to_sensor((first + at + 0.5) * voxel_size_m);
-            if !(x.x > 0.0) {
+            let pixel = pixel_of(x);
+            if pixel == NONE {
                 continue;
             }
-            let seen = frame.camera.zw - frame.camera.xy * x.yz / x.x + 0.5;
-            if !(all(seen >= vec2(0.0)) && seen.x < f32(frame.columns) && seen.y < f32(frame.rings)) {
-                continue;
-            }
-            let depth = depth_in(u32(seen.x) + u32(seen.y) * frame.columns);
+            let depth = depth_in(pixel);
             let eta = depth - x.x; // (5.2)
             if depth > 0.0 && eta >= -truncation_m {
                 let distance = round(clamp(eta / truncation_m, -1.0, 1.0) * WEIGHT_SCALE); // (5.3)

@@ -45,6 +45,11 @@ struct Frame {
     columns_per_rad: f32,
     gaps_at: u32,
     nearest_at: u32,
+    // Of cylindrical images, whose pitch is `column_rad`: unit vectors towards columns, for a phase of 0; the tangent of row 0; and
+    // rows in a tangent of 1.
+    towards_at: u32,
+    top: f32,
+    per_pitch: f32,
     // A camera's focal lengths, and its principal point, pixels.
     camera: vec4<f32>,
 }
@@ -100,7 +105,12 @@ fn sin_cos(angle: f32) -> vec2<f32> {
 
 // Places a valid return from where the sensor was when it was measured.
 fn place(i: u32) -> Placed {
-    var p = point_of(i);
+    return place_at(i, point_of(i));
+}
+
+// Places a point (sensor frame) as if it were a return's.
+fn place_at(i: u32, point: vec3<f32>) -> Placed {
+    var p = point;
     var origin = vec3(0.0);
     if frame.times_at != 0u {
         let secs = bitcast<f32>(returns[frame.times_at + i]);

@@ -25,17 +25,9 @@ struct Offer {
     aside: atomic<u32>,
 }
 
-struct Ring {
-    // Returns by the part of a column.
-    bins: array<atomic<u32>, PHASE_BINS>,
-    // Their circular mean, in columns.
-    phase: f32,
-}
-
 @group(1) @binding(2) var<storage, read_write> cells: array<Cell>;
 @group(1) @binding(3) var<storage, read_write> places: array<Place>;
 @group(1) @binding(4) var<storage, read_write> offers: array<Offer>;
-@group(1) @binding(5) var<storage, read_write> rings: array<Ring>;
 
 const INVALID: u32 = 0xfffffffeu;
 
@@ -83,30 +75,14 @@ fn find_azimuths(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_work
         let column = -arc_tangent2(p.y, p.x) * frame.columns_per_rad;
         let azimuth = select(column, column + f32(frame.columns), column < 0.0);
         places[i].azimuth = azimuth;
-        atomicAdd(&rings[ring].bins[u32(azimuth * f32(PHASE_BINS)) % PHASE_BINS], 1u);
+        atomicAdd(&rings[ring].bins[bin_of(azimuth)], 1u);
     }
 }
 
-// cos((k + ½)·π/16); PHASE_BINS is 32.
-const COSINES = array(0.9951847, 0.95694035, 0.8819213, 0.77301043, 0.6343933, 0.47139674, 0.29028466, 0.09801714);
-
-// Returns of a bin, less those of the one half a column on.
-fn more_than_opposite(ring: u32, bin: u32) -> i32 {
-    let opposite = (bin + PHASE_BINS / 2u) % PHASE_BINS;
-    return i32(atomicLoad(&rings[ring].bins[bin])) - i32(atomicLoad(&rings[ring].bins[opposite]));
-}
-
-// Counts of bins whose cosines are alike are added as integers, so that what cancels does so exactly.
 @compute @workgroup_size(64)
 fn find_phases(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var ring = id.x; ring < frame.rings; ring += 64u * groups.x) {
-        var sum = vec2(0.0);
-        for (var k = 0u; k < 8u; k++) {
-            let a = more_than_opposite(ring, k);
-            let b = more_than_opposite(ring, 15u - k);
-            sum += vec2(f32(a - b) * COSINES[k], f32(a + b) * COSINES[7u - k]);
-        }
-        rings[ring].phase = arc_tangent2(sum.y, sum.x) / (2.0 * PI);
+        rings[ring].phase = mean_phase(ring);
     }
 }
 

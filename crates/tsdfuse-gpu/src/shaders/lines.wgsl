@@ -43,10 +43,15 @@ struct Ray {
 }
 
 fn ray_of(i: u32) -> Ray {
+    return ray_to(i, point_of(i));
+}
+
+// The ray of a return, were it measured at some point (sensor frame).
+fn ray_to(i: u32, point: vec3<f32>) -> Ray {
     if !is_valid(i) {
         return Ray(vec3(0.0), vec3(0.0), 0.0, OUTSIDE_GRID);
     }
-    let placed = place(i);
+    let placed = place_at(i, point);
     let along = placed.point - placed.origin;
     let range_m = length(along);
     let end = frame.anchor_fraction + placed.point * frame.voxels_per_m;
@@ -60,6 +65,14 @@ fn ray_of(i: u32) -> Ray {
 fn line(center: vec3<f32>, axis: vec3<f32>, weight: f32) -> Line {
     let voxel = floor(center);
     return Line(frame.anchor_voxel + vec3<i32>(voxel), center - voxel, axis, frame.truncation_vox, weight, FUSED);
+}
+
+// The line along a ray.
+fn line_along(ray: Ray) -> Line {
+    if ray.outcome != FUSED {
+        return no_line(ray.outcome);
+    }
+    return line(ray.end, ray.direction, min(1.0 / ray.range_m, 1.0)); // (5.8)
 }
 
 fn no_line(outcome: u32) -> Line {

@@ -28,6 +28,8 @@ struct State {
     outside_grid: atomic<u32>,
     without_normal: atomic<u32>,
     without_weight: atomic<u32>,
+    outside_image: atomic<u32>,
+    hidden: atomic<u32>,
     // Updates whose block was not there: always 0.
     lost: atomic<u32>,
     // Whether a voxel may be beyond its largest weight now.

@@ -233,9 +233,11 @@ fn find_planes(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgr
         }
         let ray = cell.point - origin_of(cell);
         let window = window_about(i, length(ray));
-        var best = judge(plane_of(window, cell.point), cell.point, ray);
+        let whole = plane_of(window, cell.point);
+        var best = judge(whole, cell.point, ray);
         best.surface.whole = 1u;
-        if !is_plane(best.surface) {
+        // Halves have fewer returns still.
+        if !is_plane(best.surface) && whole.count >= MIN_RETURNS {
             for (var k = 0; k < 4; k++) {
                 let half = Window(window.ring, window.column, window.reach * HALVES[k]);
                 let found = judge(plane_of(half, cell.point), cell.point, ray);

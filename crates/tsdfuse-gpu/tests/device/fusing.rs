@@ -402,9 +402,13 @@ fn images(count: usize) -> Vec<Scan> {
             let depth = ((wall - pose.translation) / in_world).min_element();
             ray * (depth as f32 + 0.01 * (i % 7) as f32)
         });
+        let hidden = (0..camera.pixels())
+            .step_by(11)
+            .map(|i| camera.ray((i % 80) as f32, (i / 80) as f32) * 9.0);
+        let outside = [-Vec3::X, Vec3::NAN, Vec3::new(1.0, 3.0, 0.0)];
         Scan {
             name: format!("image {n}"),
-            points: points.collect(),
+            points: outside.into_iter().chain(hidden).chain(points).collect(),
             pose,
             camera: Some(camera),
             ..Default::default()

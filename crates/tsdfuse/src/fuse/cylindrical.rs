@@ -40,14 +40,10 @@ impl Cylindrical {
     /// The scan as its image has it: a return at the centre of each filled pixel.
     ///
     /// Returns are projected as the sensor measured them, each at its own time; motion is undone afterwards.
-    ///
-    /// # Errors
-    /// [`FuseError`] if no beams show in the scan.
-    pub fn round(&mut self, scan: &Scan) -> Result<(Scan, Skipped), FuseError> {
+    fn round(&mut self, scan: &Scan) -> Result<(Scan, Skipped), FuseError> {
         let sensor = self.beams.of(scan)?;
         let phase = Projection::phase_of(&scan.points, sensor.columns);
-        // A row more on both sides: the outermost beams have their tolerances.
-        let image = Projection::new(sensor, 0.0, phase, sensor.column_width_rad() as f32);
+        let image = cylindrical_image(sensor, phase);
         self.pixels.clear();
         self.pixels.resize(image.rows() * image.columns(), NONE);
         let mut lost = Skipped::default();
@@ -78,6 +74,11 @@ impl Cylindrical {
         };
         Ok((rounded, lost))
     }
+}
+
+/// The image of a sensor, with a row more on both sides: the outermost beams have their tolerances.
+pub fn cylindrical_image(sensor: &SensorModel, phase: f32) -> Projection {
+    Projection::new(sensor, 0.0, phase, sensor.column_width_rad() as f32)
 }
 
 impl Integrator for Cylindrical {

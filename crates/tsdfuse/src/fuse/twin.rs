@@ -1,6 +1,7 @@
 //! What a second implementation takes from this one, most of it of [`Patch`](super::Patch), so that whatever is tuned here is tuned there.
 
 pub use super::carve::{BESIDE, BINS_PER_RAD, FORGOTTEN, INSIDE, LEFT, MARGIN, MIN_PASSED, TURNS, nearest_rings};
+pub use super::cylindrical::cylindrical_image;
 pub use super::patch::{BEHIND, BETWEEN_WEIGHT, FRONT, FULL_BEHIND, LONE_REACH, RAY_WEIGHT, STEP};
 pub use crate::patch::{
     FACING, MAX_BESIDE, MAX_COLUMNS, MAX_OFF, MAX_OFF_BETWEEN, MAX_RESIDUAL, MAX_RINGS, MIN_COSINE, MIN_DOT,
