@@ -1,6 +1,6 @@
 //! `tsdfuse map export`: what other programs read.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Result;
 use indicatif::HumanCount;

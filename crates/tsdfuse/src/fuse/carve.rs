@@ -8,7 +8,7 @@
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
 use fearless_simd::{Level, dispatch};
-use glam::{IVec3, Vec3};
+use glam::{IVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::{
@@ -20,6 +20,7 @@ use crate::{
     index::{BLOCK_EDGE, BlockIndex},
     map::{Block, REGION_SHIFT, Voxel, VoxelMap, WEIGHT_SCALE},
     patch::Patch,
+    scan::Scan,
     sensor::{Projection, ScanImage, SensorModel, approx::atan2_f32},
 };
 
@@ -50,11 +51,56 @@ pub const BINS_PER_RAD: f32 = 1000.0;
 
 /// What a scan saw, to tell where its rays passed.
 pub(super) struct Seen<'a> {
-    pub(super) image: &'a ScanImage,
-    pub(super) placed: &'a Placed,
-    pub(super) patches: &'a [Patch],
+    image: &'a ScanImage,
+    placed: &'a Placed,
+    patches: &'a [Patch],
     /// In the axes of the sensor at the time of the scan's pose.
-    pub(super) centers: Centers,
+    centers: Centers,
+    /// If the sensor moved: in its axes when each column was measured; `None` for columns without returns.
+    columns: Vec<Option<Centers>>,
+}
+
+impl<'a> Seen<'a> {
+    pub(super) fn new(
+        scan: &Scan,
+        image: &'a ScanImage,
+        placed: &'a Placed,
+        patches: &'a [Patch],
+        centers: Centers,
+    ) -> Self {
+        let mut columns = Vec::new();
+        if let (Some(trajectory), Some(times)) = (scan.trajectory(), &scan.times) {
+            let columns_there = (0..image.columns()).into_par_iter();
+            let then = columns_there.map(|column| {
+                let i = (0..image.rings()).find_map(|ring| image.get(ring, column))?;
+                let (rotation, shift) = trajectory.relative_at(f64::from(times[i]));
+                Some(Centers {
+                    rotation: Mat3::from_quat(rotation.inverse().as_quat()),
+                    origin: shift.as_vec3(),
+                    ..centers
+                })
+            });
+            columns = then.collect();
+        }
+        Self {
+            image,
+            placed,
+            patches,
+            centers,
+            columns,
+        }
+    }
+
+    /// As the sensor sees a block when it turns to it; `None` where no ray came back.
+    #[inline(always)]
+    fn centers_at(&self, index: BlockIndex) -> Option<Centers> {
+        if self.columns.is_empty() {
+            return Some(self.centers);
+        }
+        let p = self.centers.of_block(index);
+        let (_, columns) = Carver::cells(&[[p.x; ROW], [p.y; ROW], [p.z; ROW]], self.image.columns());
+        self.columns[columns[0] as usize % self.columns.len()]
+    }
 }
 
 /// Keeps its buffers from scan to scan.
@@ -139,25 +185,28 @@ impl Carver {
 
     /// Whether the ray nearest to the middle of a block ends behind the block.
     #[inline(always)]
-    fn may_be_passed(&self, index: BlockIndex, seen: &Seen<'_>) -> bool {
-        let p = seen.centers.of_block(index);
+    fn may_be_passed(&self, index: BlockIndex, centers: &Centers, seen: &Seen<'_>) -> bool {
+        let p = centers.of_block(index);
         let (bins, columns) = Self::cells(&[[p.x; ROW], [p.y; ROW], [p.z; ROW]], seen.image.columns());
         let near = seen
             .image
             .get(self.ring(bins[0]), columns[0] as usize % seen.image.columns());
-        let far_m = p.length() + BLOCK_RADIUS * seen.centers.voxel_size_m;
-        near.is_some_and(|i| seen.placed.points[i].length_squared() > far_m * far_m)
+        let far_m = p.length() + BLOCK_RADIUS * centers.voxel_size_m;
+        near.is_some_and(|i| (seen.placed.points[i] - seen.placed.origin(i)).length_squared() > far_m * far_m)
     }
 
     /// Carves a whole block, or voxels of it, that are `inside` by this much in units of F; tells whether any changed.
     #[inline(always)]
     fn carve_block(&self, index: BlockIndex, block: &mut Block, whole: bool, seen: &Seen<'_>, inside: f32) -> bool {
-        if !self.may_be_passed(index, seen) {
+        let Some(centers) = seen
+            .centers_at(index)
+            .filter(|centers| self.may_be_passed(index, centers, seen))
+        else {
             return false;
-        }
+        };
         let mut passed = 0;
         let first = seen.centers.anchor.offset_of(index.first_voxel());
-        let rows = seen.centers.rows(index);
+        let rows = centers.rows(index);
         for row in 0..BLOCK_EDGE * BLOCK_EDGE {
             let (y, z) = (row % BLOCK_EDGE, row / BLOCK_EDGE);
             let start = ROW * row as usize;

@@ -9,10 +9,12 @@ use crate::index::{Anchor, BLOCK_EDGE, BlockIndex};
 /// Half the diagonal of a block, in voxels.
 pub(crate) const BLOCK_RADIUS: f32 = 0.5 * 1.732_050_8 * BLOCK_EDGE as f32;
 
-/// Voxel centres relative to a scan's anchor, in axes of one's choice, metres.
+/// Voxel centres relative to a sensor, in axes of one's choice, metres.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Centers {
     pub(crate) anchor: Anchor,
+    /// Where the sensor is: from the anchor, world axes.
+    pub(crate) origin: Vec3,
     /// Turns world axes into those of the result.
     pub(crate) rotation: Mat3,
     pub(crate) voxel_size_m: f32,
@@ -23,7 +25,7 @@ impl Centers {
     #[inline]
     pub(crate) fn of_block(&self, block: BlockIndex) -> Vec3 {
         let to_middle = 0.5 * (BLOCK_EDGE - 1) as f32 * self.voxel_size_m;
-        self.rotation * (self.anchor.offset_of(block.first_voxel()) + to_middle)
+        self.rotation * (self.anchor.offset_of(block.first_voxel()) + to_middle - self.origin)
     }
 
     /// Calls `visit` with each row of the block, in order: the number of its first voxel, and the centres' coordinates, which
@@ -42,7 +44,7 @@ impl Centers {
     #[inline(always)]
     pub(crate) fn rows(&self, block: BlockIndex) -> Rows {
         Rows {
-            first: self.rotation * self.anchor.offset_of(block.first_voxel()),
+            first: self.rotation * (self.anchor.offset_of(block.first_voxel()) - self.origin),
             step: self.rotation * self.voxel_size_m,
         }
     }
@@ -92,9 +94,11 @@ mod tests {
     #[test]
     fn centers_are_those_of_the_grid() {
         let grid = Grid::new(0.05);
-        let origin = DVec3::new(500_000.125, 5_400_000.25, 311.5);
+        let anchor = DVec3::new(500_000.125, 5_400_000.25, 311.5);
+        let origin = anchor + DVec3::new(0.3, -0.2, 0.1);
         let centers = Centers {
-            anchor: grid.anchor(origin).unwrap(),
+            anchor: grid.anchor(anchor).unwrap(),
+            origin: (origin - anchor).as_vec3(),
             rotation: Mat3::from_rotation_z(0.3),
             voxel_size_m: 0.05,
         };

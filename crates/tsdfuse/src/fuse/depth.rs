@@ -158,6 +158,7 @@ pub(super) fn integrate(map: &mut VoxelMap, anchor: Anchor, views: &[View], gath
         .iter()
         .map(|view| Centers {
             anchor,
+            origin: Vec3::ZERO,
             rotation: view.world_from_camera.transpose(),
             voxel_size_m,
         })

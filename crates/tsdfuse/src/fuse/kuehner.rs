@@ -84,6 +84,7 @@ impl Integrator for Kuehner {
         let config = *map.config();
         let centers = Centers {
             anchor,
+            origin: Vec3::ZERO,
             rotation: sensor_from_world,
             voxel_size_m: config.voxel_size_m as f32,
         };

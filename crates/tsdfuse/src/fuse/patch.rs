@@ -13,6 +13,7 @@
 use std::time::Instant;
 
 use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -204,16 +205,13 @@ impl Integrator for Patch {
         // Those between returns are none.
         done.fused_returns = done.fused_returns.saturating_sub((patches.len() - returns) as u64);
         if self.config.carve {
-            let seen = Seen {
-                image,
-                placed,
-                patches,
-                centers: Centers {
-                    anchor,
-                    rotation: world_axes(scan).transpose(),
-                    voxel_size_m: grid.voxel_size_m() as f32,
-                },
+            let centers = Centers {
+                anchor,
+                origin: Vec3::ZERO,
+                rotation: world_axes(scan).transpose(),
+                voxel_size_m: grid.voxel_size_m() as f32,
             };
+            let seen = Seen::new(scan, image, placed, patches, centers);
             done.updated_blocks.extend(self.carver.carve(map, &seen, sensor));
         }
         Ok(Integration { prepare_secs, ..done })
