@@ -7,8 +7,9 @@ mod common;
 use tsdfuse::{
     Integrator, MapConfig, Pose, Scan, SensorModel, VoxelMap,
     fuse::{FuseError, Patch, PatchConfig},
-    glam::{DVec3, IVec3, Vec3},
+    glam::{DQuat, DVec3, IVec3, Vec3},
     mesh,
+    scan::Motion,
 };
 
 /// Sixteen lasers, as a VLP-16.
@@ -18,13 +19,33 @@ fn sensor() -> SensorModel {
 
 /// What a sensor at some place sees of a floor at z = 0 and of boxes that stand on it, with noise.
 fn scan(position: DVec3, boxes: &[(DVec3, DVec3)]) -> Scan {
-    let (sensor, mut scan) = (sensor(), Scan::default());
-    let mut rings = Vec::new();
+    let pose = Pose {
+        translation: position,
+        ..Pose::IDENTITY
+    };
+    sweep(pose, None, boxes)
+}
+
+/// The same of a sensor that moves while it turns once in 0.1 s: `pose` is in the middle of this.
+fn sweep(pose: Pose, motion: Option<Motion>, boxes: &[(DVec3, DVec3)]) -> Scan {
+    let sensor = sensor();
+    let (mut rings, mut times) = (Vec::new(), Vec::new());
+    let mut scan = Scan {
+        pose,
+        motion,
+        times: Some(Vec::new()),
+        ..Default::default()
+    };
+    let trajectory = scan.trajectory();
     for (ring, elevation) in sensor.elevations_deg.iter().enumerate() {
         for column in 0..sensor.columns {
-            let azimuth = -std::f64::consts::TAU * (f64::from(column) + 0.5) / f64::from(sensor.columns);
+            let turn = (f64::from(column) + 0.5) / f64::from(sensor.columns);
+            let (azimuth, secs) = (-std::f64::consts::TAU * turn, 0.1 * (turn - 0.5));
+            let world_from_sensor = trajectory.map_or(pose, |trajectory| trajectory.at(secs));
+            let position = world_from_sensor.translation;
             let (sin_e, cos_e) = f64::from(*elevation).to_radians().sin_cos();
-            let direction = DVec3::new(cos_e * azimuth.cos(), cos_e * azimuth.sin(), sin_e);
+            let in_sensor = DVec3::new(cos_e * azimuth.cos(), cos_e * azimuth.sin(), sin_e);
+            let direction = world_from_sensor.rotation * in_sensor;
             let floor = if direction.z < 0.0 {
                 -position.z / direction.z
             } else {
@@ -41,16 +62,14 @@ fn scan(position: DVec3, boxes: &[(DVec3, DVec3)]) -> Scan {
             });
             if hit < 30.0 {
                 let noise = ((u64::from(column) * 7919 + ring as u64 * 104_729) % 1000) as f64 / 1000.0 - 0.5;
-                scan.points.push((direction * (hit + 0.06 * noise)).as_vec3());
+                scan.points.push((in_sensor * (hit + 0.06 * noise)).as_vec3());
                 rings.push(ring as u16);
+                times.push(secs as f32);
             }
         }
     }
     scan.rings = Some(rings);
-    scan.pose = Pose {
-        translation: position,
-        ..Pose::IDENTITY
-    };
+    scan.times = Some(times);
     scan
 }
 
@@ -135,13 +154,22 @@ fn nothing_is_closed_between_a_box_and_the_floor_behind() {
     assert!(mesh.vertices.len() > 1000 && worst < 0.12, "{worst}");
 }
 
-#[test]
-fn what_moved_on_is_erased_and_what_stays_is_not() {
-    let sensor_at = |k: i32| DVec3::new(0.2 * f64::from(k), 0.0, 1.8);
+/// Of two boxes, one is there in the first four scans only; in each scan the sensor moves by `moved` (its own axes).
+fn assert_erases_what_moved_on(moved: Option<Pose>) {
     let standing = (DVec3::new(8.0, 3.0, 0.0), DVec3::new(9.0, 4.0, 1.5));
     let visitor = (DVec3::new(6.0, -2.0, 0.3), DVec3::new(7.5, -0.5, 1.6));
-    let mut scans: Vec<Scan> = (0..4).map(|k| scan(sensor_at(k), &[standing, visitor])).collect();
-    scans.extend((4..16).map(|k| scan(sensor_at(k), &[standing])));
+    let scan = |k: i32| {
+        let pose = Pose {
+            translation: DVec3::new(0.2 * f64::from(k), 0.0, 1.8),
+            ..Pose::IDENTITY
+        };
+        let motion = moved.map(|moved| Motion {
+            pose: pose * moved,
+            secs: 0.1,
+        });
+        sweep(pose, motion, &[standing, visitor][..if k < 4 { 2 } else { 1 }])
+    };
+    let scans: Vec<Scan> = (0..16).map(scan).collect();
     let faces = |carve: bool| {
         let config = PatchConfig {
             carve,
@@ -161,6 +189,19 @@ fn what_moved_on_is_erased_and_what_stays_is_not() {
         standing_before > 500.0 && standing > 0.97 * standing_before,
         "{standing} of {standing_before}"
     );
+}
+
+#[test]
+fn what_moved_on_is_erased_and_what_stays_is_not() {
+    assert_erases_what_moved_on(None);
+}
+
+#[test]
+fn a_sensor_that_moves_erases_as_well() {
+    assert_erases_what_moved_on(Some(Pose {
+        rotation: DQuat::from_rotation_z(0.18) * DQuat::from_rotation_y(0.03),
+        translation: DVec3::new(1.0, -0.2, 0.05),
+    }));
 }
 
 #[test]

@@ -15,17 +15,49 @@ fn cell_at(bin: u32, column: u32) -> u32 {
     return returns[frame.nearest_at + min(bin, last)] * frame.columns + column % frame.columns;
 }
 
-// Whether the ray nearest to the middle of a block ends behind the block.
-fn may_be_passed(corner_vox: vec3<f32>, voxel_size_m: f32) -> bool {
-    let middle = (corner_vox + 4.0) * voxel_size_m;
-    let at = seen_at(to_sensor(middle));
-    let cell = cells[cell_at(at.x, at.y)];
-    return is_there(cell) && length(cell.point) > length(middle) + BLOCK_RADIUS * voxel_size_m;
+// A place (world axes, relative to the anchor, metres) in the sensor frame some seconds after the scan's pose.
+fn to_sensor_after(place: vec3<f32>, secs: f32) -> vec3<f32> {
+    return turned_after(to_sensor(place - frame.velocity * secs), -secs);
 }
 
-// Whether a ray passes a place and ends well behind it.
-fn is_passed(center: vec3<f32>, voxel_size_m: f32) -> bool {
-    let at = seen_at(to_sensor(center));
+// The first return in the column in which a place is seen from the scan's pose: the sensor turned to the place when it measured it.
+fn first_towards(place: vec3<f32>) -> Cell {
+    let column = seen_at(to_sensor(place)).y % frame.columns;
+    var cell = cells[column];
+    for (var ring = 1u; ring < frame.rings && cell.i == NONE; ring++) {
+        cell = cells[ring * frame.columns + column];
+    }
+    return cell;
+}
+
+// A block as the sensor sees it when it turns to it.
+struct Look {
+    // Whether the ray nearest to the block's middle ends behind the block.
+    may_be_passed: bool,
+    // When that is, seconds after the scan's pose.
+    secs: f32,
+}
+
+fn look_at(corner_vox: vec3<f32>, voxel_size_m: f32) -> Look {
+    let middle = (corner_vox + 4.0) * voxel_size_m;
+    var secs = 0.0;
+    if frame.times_at != 0u {
+        let first = first_towards(middle);
+        if !is_there(first) {
+            return Look(false, 0.0);
+        }
+        secs = bitcast<f32>(returns[frame.times_at + first.i]);
+    }
+    let p = to_sensor_after(middle, secs);
+    let at = seen_at(p);
+    let cell = cells[cell_at(at.x, at.y)];
+    let far_m = length(p) + BLOCK_RADIUS * voxel_size_m;
+    return Look(is_there(cell) && length(cell.point - origin_of(cell)) > far_m, secs);
+}
+
+// Whether a ray passes a place, seen from where the sensor is some seconds after the scan's pose, and ends well behind it.
+fn is_passed(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> bool {
+    let at = seen_at(to_sensor_after(center, secs));
     for (var next = 0u; next < 2u; next++) {
         let number = cell_at(at.x, at.y + next);
         let cell = cells[number];
@@ -39,10 +71,11 @@ fn is_passed(center: vec3<f32>, voxel_size_m: f32) -> bool {
         let along = dot(p, end) / size;
         let normal = patches[number].normal;
         let above = select(size - along, dot(p - end, normal), any(normal != vec3(0.0)));
-        let beside2 = dot(p, p) - along * along;
+        // From one vector: a difference of squares would lose what it is to tell.
+        let beside = p - end * (along / size);
         let margin_m = MARGIN * voxel_size_m;
         let radius_m = BESIDE * voxel_size_m;
-        if along > 0.0 && size - along > margin_m && above > margin_m && beside2 < radius_m * radius_m {
+        if along > 0.0 && size - along > margin_m && above > margin_m && dot(beside, beside) < radius_m * radius_m {
             return true;
         }
     }
@@ -57,6 +90,7 @@ fn fade(voxel: vec2<u32>, divisor: i32) -> vec2<u32> {
 
 var<workgroup> count: u32;
 var<workgroup> passed: atomic<u32>;
+var<workgroup> look: Look;
 
 // Fades what rays contradict, after all updates: a block a workgroup, in turns; of a block that the scan updated the voxels that
 // are passed, of another one all, if some are.
@@ -72,20 +106,24 @@ fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
         let index = blocks[slot].index;
         let is_updated = atomicLoad(&blocks[slot].stamp) == frame.stamp;
         let number = u32(index.x + index.y + index.z) + frame.stamp;
+        let in_turn = number % select(TURNS, TURNS_UPDATED, is_updated) == 0u;
         let corner = corner_of(index);
         if lane == 0u {
             atomicStore(&passed, 0u);
+            if in_turn {
+                look = look_at(corner, voxel_size_m);
+            }
         }
         workgroupBarrier();
         // One bit a voxel of this thread.
         var here = 0u;
-        if number % select(TURNS, TURNS_UPDATED, is_updated) == 0u && may_be_passed(corner, voxel_size_m) {
+        if in_turn && look.may_be_passed {
             for (var k = 0u; k < 8u; k++) {
                 let voxel = load_voxel(slot, lane + 64u * k);
                 // Also false where nothing was observed.
                 if f32(bitcast<i32>(voxel.y)) < -inside * f32(voxel.x) {
                     let at = vec3<f32>(vec3(lane & 7u, lane >> 3u, k)) + 0.5;
-                    here |= u32(is_passed((corner + at) * voxel_size_m, voxel_size_m)) << k;
+                    here |= u32(is_passed((corner + at) * voxel_size_m, look.secs, voxel_size_m)) << k;
                 }
             }
             atomicAdd(&passed, countOneBits(here));

@@ -108,16 +108,21 @@ fn place(i: u32) -> Placed {
     return place_at(i, point_of(i));
 }
 
+// A vector in the sensor's axes at the scan's pose, from those that it has some seconds later.
+fn turned_after(p: vec3<f32>, secs: f32) -> vec3<f32> {
+    // Rodrigues' rotation formula.
+    let turn = sin_cos(frame.turn_rate * secs);
+    let k = frame.turn_axis;
+    return p * turn.y + cross(k, p) * turn.x + k * (dot(k, p) * (1.0 - turn.y));
+}
+
 // Places a point (sensor frame) as if it were a return's.
 fn place_at(i: u32, point: vec3<f32>) -> Placed {
     var p = point;
     var origin = vec3(0.0);
     if frame.times_at != 0u {
         let secs = bitcast<f32>(returns[frame.times_at + i]);
-        // Rodrigues' rotation formula.
-        let turn = sin_cos(frame.turn_rate * secs);
-        let k = frame.turn_axis;
-        p = p * turn.y + cross(k, p) * turn.x + k * (dot(k, p) * (1.0 - turn.y));
+        p = turned_after(p, secs);
         origin = frame.velocity * secs;
     }
     return Placed(frame.world_x * p.x + frame.world_y * p.y + frame.world_z * p.z + origin, origin);

@@ -4,6 +4,7 @@ use tsdfuse::{
     MapConfig, Pose, Scan, SensorModel, VoxelMap,
     fuse::{FuseConfig, Method, PatchConfig},
     glam::{DQuat, DVec3, Vec3},
+    scan::Motion,
     sensor::{Pixel, Projection},
 };
 use tsdfuse_gpu::{DeviceMap, Fuser, PoolConfig};
@@ -57,8 +58,9 @@ fn random(i: usize) -> f64 {
     (mixed >> 40) as f64 / (1_u64 << 24) as f64
 }
 
-/// A sensor of 24 beams in a room of 8 × 6 × 3 m, in front of a screen or not.
-fn room_scan(number: usize, has_screen: bool) -> (Scan, SensorModel) {
+/// A sensor of 24 beams in a room of 8 × 6 × 3 m, in front of a screen or not; in a sweep of 0.1 s it moves by `moved` (its own
+/// axes).
+fn room_scan(number: usize, has_screen: bool, moved: Option<Pose>) -> (Scan, SensorModel) {
     let elevations = (0..24).map(|ring| ring as f32 * 2.0 - 24.0).collect();
     let sensor = SensorModel::from_beams("room", elevations, 480, (0.1, 100.0)).unwrap();
     let projection = Projection::new(&sensor);
@@ -66,43 +68,51 @@ fn room_scan(number: usize, has_screen: bool) -> (Scan, SensorModel) {
         rotation: DQuat::from_rotation_z(0.01 * number as f64),
         translation: DVec3::new(0.02 * number as f64, 0.1, 0.05),
     };
+    let mut scan = Scan {
+        name: format!("room {number}"),
+        pose,
+        motion: moved.map(|moved| Motion {
+            pose: pose * moved,
+            secs: 0.1,
+        }),
+        times: Some(Vec::new()),
+        ..Default::default()
+    };
+    let trajectory = scan.trajectory();
     let cells = (0..24 * 480).filter(|i| i % 23 != 5);
     let point = |i: usize| {
         let (row, column) = ((i % 24) as f64, (i / 24) as f64);
+        // It begins on its right, so that what is ahead comes late.
+        let secs = 0.1 * (column / 480.0 + 0.75).fract();
+        let world_from_sensor = trajectory.map_or(pose, |trajectory| trajectory.at(secs));
+        let position = world_from_sensor.translation;
         let direction = projection.direction(Pixel { row, column });
-        let ray = pose.rotation * direction;
+        let ray = world_from_sensor.rotation * direction;
         let wall = ray.signum() * DVec3::new(4.0, 3.0, 1.5);
-        let mut range = ((wall - pose.translation) / ray).min_element();
-        let screen = (2.0 - pose.translation.x) / ray.x;
-        let hit = pose.translation + ray * screen;
+        let mut range = ((wall - position) / ray).min_element();
+        let screen = (2.0 - position.x) / ray.x;
+        let hit = position + ray * screen;
         if has_screen && screen > 0.0 && hit.y.abs() < 0.8 && hit.z.abs() < 0.7 {
             range = screen;
         }
         let noise = 0.03 * (random(30 * i + number) - 0.5);
-        ((direction * (range + noise)).as_vec3(), (i % 24) as u16)
+        (((direction * (range + noise)).as_vec3(), (i % 24) as u16), secs as f32)
     };
-    let (points, rings): (Vec<_>, Vec<_>) = cells.map(point).unzip();
-    let scan = Scan {
-        name: format!("room {number}"),
-        points,
-        rings: Some(rings),
-        pose,
-        ..Default::default()
-    };
+    let ((points, rings), times): ((Vec<_>, Vec<_>), Vec<_>) = cells.map(point).unzip();
+    (scan.points, scan.rings, scan.times) = (points, Some(rings), Some(times));
     (scan, sensor)
 }
 
 /// A screen that is there in the first two scans only.
-fn screen(count: usize) -> (Vec<Scan>, SensorModel) {
-    let (scans, mut sensors): (Vec<_>, Vec<_>) = (0..count).map(|n| room_scan(n, n < 2)).unzip();
+fn screen(count: usize, moved: Option<Pose>) -> (Vec<Scan>, SensorModel) {
+    let (scans, mut sensors): (Vec<_>, Vec<_>) = (0..count).map(|n| room_scan(n, n < 2, moved)).unzip();
     (scans, sensors.remove(0))
 }
 
-#[test]
-fn what_moved_on_is_erased_alike() {
+fn assert_erases_alike(moved: Option<Pose>, what: &str) {
     let Some(gpu) = gpu() else { return };
-    let (scans, sensor) = screen(7);
-    assert_the_same(&scans, &FuseConfig::default(), Some(&sensor), "patch, a screen");
+    let (scans, sensor) = screen(7, moved);
+    assert_the_same(&scans, &FuseConfig::default(), Some(&sensor), what);
     // It was: without erasing the map is another one.
     let carved = on_gpu(
         &scans,
@@ -122,9 +132,23 @@ fn what_moved_on_is_erased_alike() {
 }
 
 #[test]
+fn what_moved_on_is_erased_alike() {
+    assert_erases_alike(None, "patch, a screen");
+}
+
+#[test]
+fn what_moved_on_is_erased_alike_by_a_sensor_that_moves() {
+    let moved = Pose {
+        rotation: DQuat::from_rotation_z(0.18) * DQuat::from_rotation_x(-0.03),
+        translation: DVec3::new(0.8, -0.6, 0.1),
+    };
+    assert_erases_alike(Some(moved), "patch, a screen, moving sensor");
+}
+
+#[test]
 fn other_windows_noise_and_gaps() {
     let Some(gpu) = gpu() else { return };
-    let (scans, sensor) = screen(2);
+    let (scans, sensor) = screen(2, None);
     for patch in [
         PatchConfig {
             window_m: 0.3,
@@ -153,7 +177,7 @@ fn other_windows_noise_and_gaps() {
 #[test]
 fn the_same_bits_however_often_the_map_grew_and_whoever_began_it() {
     let Some(gpu) = gpu() else { return };
-    let (scans, sensor) = screen(4);
+    let (scans, sensor) = screen(4, None);
     let config = FuseConfig::default();
     let run = |device: DeviceMap, scans: &[Scan]| on_gpu(scans, Method::Patch, &config, device, Some(&sensor));
     let (first, reports) = run(new_map(gpu, POOL), &scans);
@@ -179,7 +203,7 @@ fn scans_that_are_repeated_have_images_of_their_own() {
 #[test]
 fn empty_scans_and_invalid_returns_do_no_harm() {
     let Some(gpu) = gpu() else { return };
-    let (mut scans, sensor) = screen(1);
+    let (mut scans, sensor) = screen(1, None);
     let nowhere = Scan {
         name: "nowhere".into(),
         points: vec![Vec3::NAN; 9],
