@@ -276,7 +276,7 @@ fn is_passed(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> bool {
         } else {
             length - along
         };
-        let beside2 = place.length_squared() - along * along;
+        let beside2 = (place - end * (along / length)).length_squared();
         if along > 0.0 && length - along > margin && above > margin && beside2 < radius * radius {
             return true;
         }
