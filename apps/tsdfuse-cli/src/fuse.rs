@@ -24,7 +24,7 @@ pub(crate) use growing::GrowthReport;
 pub(crate) use load::LoadedMap;
 use load::Loading;
 use paging::{AHEAD, Paging, Progress, Resumed};
-pub(crate) use paging::{PagingReport, save_in_parts};
+pub(crate) use paging::{PagingReport, Stored, save_in_parts};
 pub(crate) use resume::{Args as ResumeArgs, run as resume};
 
 use crate::config::{RunConfig, Suggested};

@@ -1,4 +1,4 @@
-//! `tsdfuse info`: what lies in a data set or in a saved map.
+//! `tsdfuse info`: what lies in a data set, a saved map or a store.
 
 mod map;
 mod table;
@@ -24,11 +24,11 @@ Examples:
   tsdfuse info kitti/sequences/00 --sample 200 --json
   tsdfuse info street.tsdf";
 
-/// Say what lies in a data set (format, sensor, scans, points, extent) or in a saved map.
+/// Say what lies in a data set (format, sensor, scans, points, extent), in a saved map or in a store.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// The data set's folder, or the file of a saved map.
+    /// The data set's folder, or the file of a saved map or a store.
     path: PathBuf,
     /// How many scans are read, spread evenly over all.
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
@@ -94,8 +94,14 @@ struct Points {
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
-    if tsdfuse_io::map_file::recognises(&args.path) {
-        let info = MapInfo::read(&args.path)?;
+    let map = if tsdfuse_store::recognises(&args.path) {
+        Some(MapInfo::of_store(&args.path)?)
+    } else if tsdfuse_io::map_file::recognises(&args.path) {
+        Some(MapInfo::read(&args.path)?)
+    } else {
+        None
+    };
+    if let Some(info) = map {
         match args.json {
             true => print_json(&info)?,
             false => print(&info.table())?,

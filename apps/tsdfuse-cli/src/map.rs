@@ -190,11 +190,11 @@ impl Operation {
             Self::Merge { maps, .. } => merge(maps),
             Self::Crop { map, from, to, .. } => {
                 let (low, high) = (from.unwrap_or(DVec3::NEG_INFINITY), to.unwrap_or(DVec3::INFINITY));
-                let cropped = map_file::read(map)?.cropped(low, high).map_err(Usage::new)?;
+                let cropped = read(map)?.cropped(low, high).map_err(Usage::new)?;
                 Ok(cropped.into())
             }
             Self::Resample { map, voxel_size, .. } => {
-                let resampled = map_file::read(map)?.resampled(*voxel_size);
+                let resampled = read(map)?.resampled(*voxel_size);
                 Ok(resampled.with_context(|| named(map))?.into())
             }
             Self::Transform {
@@ -208,7 +208,7 @@ impl Operation {
                     rotation: DQuat::from_euler(EulerRot::ZYX, yaw, pitch, roll),
                     translation: *translation,
                 };
-                let moved = map_file::read(map)?.transformed(&pose);
+                let moved = read(map)?.transformed(&pose);
                 let (moved, exact) = moved.with_context(|| named(map))?;
                 Ok(Made {
                     exact: Some(exact),
@@ -226,10 +226,20 @@ impl Operation {
     }
 }
 
+/// Reads a saved map.
+pub(crate) fn read(path: &Path) -> Result<VoxelMap> {
+    if tsdfuse_store::recognises(path) {
+        let store = path.display();
+        let how = format!("{store}: is a store; tsdfuse map export {store} -o NAME.tsdf makes a map of it");
+        return Err(Usage::new(how).into());
+    }
+    Ok(map_file::read(path)?)
+}
+
 /// The first map, with the blocks of the others added as they are read.
 fn merge(paths: &[PathBuf]) -> Result<Made> {
     let (first, others) = paths.split_first().context("maps are wanted")?;
-    let mut map = map_file::read(first)?;
+    let mut map = read(first)?;
     let mut limited = 0;
     for path in others {
         let reader = Reader::open(path)?;

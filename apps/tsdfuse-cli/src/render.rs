@@ -149,7 +149,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let look = Look::of(args)?;
 
     let start = Instant::now();
-    let map = tsdfuse_io::map_file::read(&args.map)?;
+    let map = crate::map::read(&args.map)?;
     let read_seconds = start.elapsed().as_secs_f64();
     let spinner = progress::working("rendering");
     let preparing = Instant::now();

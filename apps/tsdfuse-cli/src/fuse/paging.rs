@@ -9,7 +9,7 @@ use tsdfuse::fuse::{FuseConfig, Method, RoldaoForm};
 use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::scan::Scan;
-use tsdfuse::{Pose, SensorModel, VoxelMap};
+use tsdfuse::{MapConfig, Pose, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::{Reader, Writer};
 use tsdfuse_store::{Options, Pager};
 
@@ -42,6 +42,26 @@ pub(super) struct Progress {
     pub(super) fused: usize,
     pub(super) sums: Sums,
     pub(super) skipped: Vec<SkippedScan>,
+}
+
+/// What a store holds, as of its last commit.
+#[derive(Debug)]
+pub(crate) struct Stored {
+    pub(crate) config: MapConfig,
+    pub(crate) map: MapReport,
+    /// Scans that are done, and that were asked for.
+    pub(crate) scans: [usize; 2],
+}
+
+impl Stored {
+    pub(crate) fn open(store: &Path) -> Result<Self> {
+        let Resumed { map, pager, progress } = Resumed::open(store)?;
+        Ok(Self {
+            config: *map.config(),
+            map: MapReport::of_store(&pager, &map),
+            scans: [progress.done, progress.asked],
+        })
+    }
 }
 
 /// What was done for a map that is not all in memory.

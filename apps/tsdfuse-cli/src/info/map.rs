@@ -1,4 +1,4 @@
-//! What `tsdfuse info` tells of a saved map.
+//! What `tsdfuse info` tells of a saved map, or of a store.
 
 use std::path::{Path, PathBuf};
 
@@ -10,9 +10,10 @@ use tsdfuse::index::voxel_at;
 use tsdfuse::{MapConfig, VoxelMap};
 
 use super::table::{Rows, extent_line};
+use crate::fuse::Stored;
 use crate::report::MapReport;
 
-/// What a saved map holds.
+/// What a saved map or a store holds.
 #[derive(Debug, Serialize)]
 pub(super) struct MapInfo {
     path: PathBuf,
@@ -21,8 +22,10 @@ pub(super) struct MapInfo {
     config: MapConfig,
     #[serde(flatten)]
     map: MapReport,
-    /// The corners of the box around all observed voxels, world, metres.
+    /// The corners of the box around all observed voxels, world, metres; of a map.
     extent_m: Option<[DVec3; 2]>,
+    /// How many scans of the run are stored, and how many there are; of a store.
+    scans: Option<[usize; 2]>,
 }
 
 impl MapInfo {
@@ -36,6 +39,22 @@ impl MapInfo {
             config: *map.config(),
             map: MapReport::of(&map),
             extent_m: extent_m(&map),
+            scans: None,
+        })
+    }
+
+    /// Of a store, whose map is not read.
+    pub(super) fn of_store(path: &Path) -> Result<Self> {
+        let Stored { config, map, scans } = Stored::open(path)?;
+        let file = std::fs::metadata(path).with_context(|| path.display().to_string())?;
+        Ok(Self {
+            path: path.to_owned(),
+            format: "tsdfuse store",
+            file_bytes: file.len(),
+            config,
+            map,
+            extent_m: None,
+            scans: Some(scans),
         })
     }
 
@@ -43,9 +62,13 @@ impl MapInfo {
     pub(super) fn table(&self) -> String {
         let mut rows = Rows::default();
         rows.add(
-            "map",
+            if self.scans.is_some() { "store" } else { "map" },
             format!("{} ({})", self.path.display(), BinaryBytes(self.file_bytes)),
         );
+        if let Some([done, asked]) = self.scans {
+            let more = if done < asked { "; tsdfuse resume goes on" } else { "" };
+            rows.add("scans", format!("{done} of {asked} stored{more}"));
+        }
         rows.add("voxel size", format!("{} m", self.config.voxel_size_m));
         rows.add("truncation", format!("{} m", self.config.truncation_m));
         rows.add("max weight", self.config.max_weight);
@@ -54,7 +77,9 @@ impl MapInfo {
             "observed",
             format!("{} voxels", HumanCount(self.map.observed_voxels as u64)),
         );
-        rows.add("memory", BinaryBytes(self.map.bytes as u64));
+        if self.scans.is_none() {
+            rows.add("memory", BinaryBytes(self.map.bytes as u64));
+        }
         if let Some([low, high]) = self.extent_m {
             rows.add("extent", extent_line(low, high));
         }

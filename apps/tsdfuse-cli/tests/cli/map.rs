@@ -252,6 +252,19 @@ fn maps_and_stores_are_exported_alike() {
     assert!(of_map.len() > 10 && of_map == files("store.zarr"));
     let line = export(&map, "map.zarr").failed(2);
     assert!(line.contains("map.zarr: is not empty; name a new folder"), "{line}");
+    for command in [&["map", "crop"][..], &["render"]] {
+        let line = tsdfuse(&[command, &[&store, "-o", &folder.text("a.png")]].concat()).failed(2);
+        assert!(line.contains("sphere.store: is a store; tsdfuse map export"), "{line}");
+    }
+    let [of_map, of_store] = [&map, &store].map(|path| tsdfuse(&["info", path, "--json"]).succeeded().json());
+    for key in ["config", "blocks", "observed_voxels"] {
+        assert!(
+            of_map[key] == of_store[key] && !of_map[key].is_null(),
+            "{key}: {of_store}"
+        );
+    }
+    let table = String::from_utf8(tsdfuse(&["info", &store]).succeeded().stdout).unwrap();
+    assert!(table.contains("scans       6 of 6 stored\n"), "{table}");
     let line = export(&store, "a.npz").failed(2);
     assert!(line.contains("a.npz: a store is exported as .zarr or .tsdf"), "{line}");
 }
