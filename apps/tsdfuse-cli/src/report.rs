@@ -386,7 +386,7 @@ mod tests {
             dropped,
             ..Default::default()
         };
-        assert_eq!(left_out(&sums), "; 1,200 other sensor, 3 too near");
+        assert_eq!(left_out(&sums), "; 3 too near, 1,200 other sensor");
         sums.dropped = Dropped::default();
         assert_eq!(left_out(&sums), "");
     }
