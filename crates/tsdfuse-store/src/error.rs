@@ -42,7 +42,7 @@ pub enum StoreError {
         /// Why not.
         reason: MapError,
     },
-    /// Who takes a mesh cannot, or it has too many vertices.
+    /// Who takes a mesh or regions cannot, or there are too many vertices.
     #[error(transparent)]
     Sink(#[from] std::io::Error),
 }

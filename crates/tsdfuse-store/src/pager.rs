@@ -151,10 +151,19 @@ impl Pager {
         mut visit: impl FnMut(&VoxelMap, RegionIndex) -> Result<(), E>,
     ) -> Result<(), E> {
         for region in self.regions() {
-            self.bring_all(map, &[region])?;
-            self.release(map)?;
+            self.turn_to(map, &[region])?;
             visit(map, region)?;
         }
+        Ok(())
+    }
+
+    /// Brings some regions into memory, and takes others away for them.
+    ///
+    /// # Errors
+    /// As [`Pager::bring`] and [`Pager::release`].
+    pub fn turn_to(&mut self, map: &mut VoxelMap, regions: &[RegionIndex]) -> Result<()> {
+        self.bring_all(map, regions)?;
+        self.release(map)?;
         Ok(())
     }
 

@@ -87,8 +87,7 @@ impl<'a> Surface<'a> {
     /// As [`Pager::bring`].
     pub fn pieces(&mut self, cube: IVec3) -> Result<impl Iterator<Item = Piece<'_>>> {
         if let Source::Paged(map, pager) = &mut self.source {
-            pager.bring_all(map, &about(cube))?;
-            pager.release(map)?;
+            pager.turn_to(map, &about(cube))?;
             // What was known of the blocks that were there before is of no use.
             self.surface = Incremental::new(&self.config);
         }

@@ -11,7 +11,7 @@ use tsdfuse::mesh::MeshConfig;
 use tsdfuse::scan::Scan;
 use tsdfuse::{MapConfig, Pose, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::{Reader, Writer};
-use tsdfuse_store::{Options, Pager};
+use tsdfuse_store::{Options, Pager, StoreError};
 
 use super::args::{Args, Memory};
 use super::hidden::{Removed, hidden_store, remove_stale};
@@ -292,13 +292,13 @@ impl Paging {
     /// Puts a saved map into the store, for good; tells how many blocks it has.
     pub(super) fn load(&mut self, map: &mut VoxelMap, reader: Reader<impl std::io::Read>) -> Result<usize> {
         map.set_integrations(reader.integrations());
-        let (mut failed, mut last, mut blocks) = (None, None, 0);
+        let (mut failed, mut last, mut blocks) = (None::<anyhow::Error>, None, 0);
         let path = self.pager.path().to_owned();
         reader.for_each_block(|index, block| {
             let region = RegionIndex::of(index);
             // Regions come one after the other, or (version 1) in layers.
             if last.replace(region) != Some(region) && failed.is_none() {
-                failed = self.next_region(map, region).err();
+                failed = self.pager.turn_to(map, &[region]).err().map(Into::into);
             }
             if failed.is_some() {
                 return Ok(());
@@ -316,12 +316,6 @@ impl Paging {
         Ok(blocks)
     }
 
-    fn next_region(&mut self, map: &mut VoxelMap, region: RegionIndex) -> Result<()> {
-        self.pager.bring_all(map, &[region])?;
-        self.pager.release(map)?;
-        Ok(())
-    }
-
     /// Saves the whole map.
     pub(super) fn save(&mut self, map: &mut VoxelMap, path: &Path) -> Result<SavedMap> {
         save_in_parts(map, &mut self.pager, path)
@@ -336,18 +330,17 @@ impl Paging {
 /// Saves a map that is not all in memory.
 pub(crate) fn save_in_parts(map: &mut VoxelMap, pager: &mut Pager, path: &Path) -> Result<SavedMap> {
     let start = Instant::now();
-    let mut failed = None;
+    let mut failed: Option<anyhow::Error> = None;
     tsdfuse_io::atomic::write(path, |out| {
         let mut writer = Writer::new(out, map.config(), map.integrations())?;
         let saved = pager.for_each_region(map, |map, region| {
             let mut blocks = map.blocks_of(region);
-            blocks.try_for_each(|(index, block)| writer.block(index, block))?;
-            Ok(())
+            Ok(blocks.try_for_each(|(index, block)| writer.block(index, block))?)
         });
-        saved.map_err(|error: anyhow::Error| match error.downcast::<std::io::Error>() {
-            Ok(error) => error,
-            Err(error) => {
-                failed = Some(error);
+        saved.map_err(|error: StoreError| match error {
+            StoreError::Sink(error) => error,
+            error => {
+                failed = Some(error.into());
                 std::io::Error::other("the store cannot be read")
             }
         })?;
