@@ -1,9 +1,11 @@
 //! Free space: what rays pass through is not surface, however often it was seen there before.
 //!
 //! Surface that moved on leaves a shell behind, whose voxels the map takes to lie inside of something (F < 0). A ray of a later
-//! scan that passes such a voxel and ends well behind it contradicts this; then a part of both of the voxel's sums is left. F stays
-//! as it is, so that a surface that is contradicted once in a while (by a wrong pose, a wet floor) does not move; one that is
-//! contradicted again and again, and seen no more, is forgotten.
+//! scan that passes such a voxel, coming from the side that F tells to be free, and ends well behind it contradicts this; then a part of
+//! both of the voxel's sums is left. F stays as it is, so that a surface that is contradicted once in a while (by a wrong pose, a wet
+//! floor) does not move; one that is contradicted again and again, and seen no more, is forgotten.
+//!
+//! Why the side: behind a board that is thinner than a voxel there is free space, too, which rays from its other side pass.
 
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
@@ -25,7 +27,7 @@ use crate::{
 };
 
 /// A voxel is inside of something if it is at least this far behind its surface, in voxels.
-pub const INSIDE: f32 = 0.5;
+pub const INSIDE: f32 = 0.2;
 
 /// A ray passes a voxel if it is at most this far from its centre, in voxels.
 pub const BESIDE: f32 = 0.6;
@@ -44,7 +46,7 @@ pub const TURNS: [u32; 2] = [2, 8];
 pub const LEFT: [i32; 2] = [16, 4];
 
 /// Of a block that a scan did not update, this many voxels passed make that all of it is doubted.
-pub const MIN_PASSED: usize = 3;
+pub const MIN_PASSED: usize = 5;
 
 /// Bins of elevation, per radian.
 pub const BINS_PER_RAD: f32 = 1000.0;
@@ -204,7 +206,9 @@ impl Carver {
         else {
             return false;
         };
-        let mut passed = 0;
+        // One bit a voxel.
+        let mut passed = [0_u8; (BLOCK_EDGE * BLOCK_EDGE) as usize];
+        let mut count = 0;
         let first = seen.centers.anchor.offset_of(index.first_voxel());
         let rows = centers.rows(index);
         for row in 0..BLOCK_EDGE * BLOCK_EDGE {
@@ -227,19 +231,26 @@ impl Carver {
             let (bins, columns) = Self::cells(&rows.at(y, z), seen.image.columns());
             for x in (0..ROW).filter(|x| deep >> x & 1 == 1) {
                 let place = first + IVec3::new(x as i32, y, z).as_vec3() * seen.centers.voxel_size_m;
-                if !is_passed(place, self.ring(bins[x]), columns[x] as usize, seen) {
+                let ray = ray_past(place, self.ring(bins[x]), columns[x] as usize, seen);
+                if ray.is_none_or(|ray| gradient_at(block, IVec3::new(x as i32, y, z)).dot(ray) > 0.0) {
                     continue;
                 }
-                passed += 1;
-                if !whole {
-                    fade(&mut block.voxels[start + x], LEFT[1]);
-                } else if passed == MIN_PASSED {
+                passed[start / ROW] |= 1 << x;
+                count += 1;
+                if whole && count == MIN_PASSED {
                     block.voxels.iter_mut().for_each(|voxel| fade(voxel, LEFT[0]));
                     return true;
                 }
             }
         }
-        passed > 0 && !whole
+        if whole || count == 0 {
+            return false;
+        }
+        for (row, passed) in block.voxels.chunks_exact_mut(ROW).zip(passed) {
+            let passed = row.iter_mut().enumerate().filter(|(x, _)| passed >> x & 1 == 1);
+            passed.for_each(|(_, voxel)| fade(voxel, LEFT[1]));
+        }
+        true
     }
 }
 
@@ -256,9 +267,28 @@ pub fn nearest_rings(sensor: &SensorModel) -> Vec<u16> {
     (0..=(PI * BINS_PER_RAD) as usize).map(nearest).collect()
 }
 
-/// Whether a ray passes a place, seen in a ring and between a column and the next, and ends well behind it.
+/// The direction in which F grows at a voxel of a block, by differences to its neighbours in the block that were observed.
+fn gradient_at(block: &Block, at: IVec3) -> Vec3 {
+    let distance = |at: IVec3| {
+        let is_here = at.cmpge(IVec3::ZERO).all() && at.cmplt(IVec3::splat(BLOCK_EDGE)).all();
+        let number = at.dot(IVec3::new(1, BLOCK_EDGE, BLOCK_EDGE * BLOCK_EDGE)) as usize;
+        let voxel = is_here.then(|| block.voxels[number]).filter(|v| v.weight_sum > 0)?;
+        Some(voxel.distance_sum as f32 / voxel.weight_sum as f32)
+    };
+    let here = distance(at).unwrap_or(0.0);
+    // Of two differences the sum; of one, twice: all axes alike.
+    let slope = |step: IVec3| match [distance(at - step), distance(at + step)] {
+        [Some(before), Some(after)] => after - before,
+        [Some(before), None] => 2.0 * (here - before),
+        [None, Some(after)] => 2.0 * (after - here),
+        [None, None] => 0.0,
+    };
+    Vec3::new(slope(IVec3::X), slope(IVec3::Y), slope(IVec3::Z))
+}
+
+/// The ray that passes a place, seen in a ring and between a column and the next, and ends well behind it.
 #[inline(always)]
-fn is_passed(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> bool {
+fn ray_past(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> Option<Vec3> {
     let columns = seen.image.columns();
     let voxel_m = seen.centers.voxel_size_m;
     let (margin, radius) = (MARGIN * voxel_m, BESIDE * voxel_m);
@@ -271,17 +301,17 @@ fn is_passed(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> bool {
         let length = end.length();
         let along = place.dot(end) / length;
         let patch = &seen.patches[i];
-        let above = if patch.is_some() {
+        let above = if patch.is_plane() {
             (place - end).dot(patch.normal)
         } else {
             length - along
         };
         let beside2 = (place - end * (along / length)).length_squared();
         if along > 0.0 && length - along > margin && above > margin && beside2 < radius * radius {
-            return true;
+            return Some(end);
         }
     }
-    false
+    None
 }
 
 /// Leaves a part of both sums.

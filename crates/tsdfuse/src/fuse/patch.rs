@@ -1,14 +1,13 @@
 //! Surface patches (`patch`): our own method. `docs/method.md` explains it with figures.
 //!
 //! Every return takes the plane of the returns around it (`crate::patch`), moves onto it by what is noise, and updates
-//! the voxels along the plane's normal, as local normals do. Between neighbouring returns of one surface that are farther
-//! apart than voxels, patches are put in, so that the surface is closed. Returns without a plane update along their ray, with less
-//! weight. What rays of later scans pass through is erased (`carve`).
+//! the voxels along the plane's normal, as local normals do. Returns without a plane update along their ray, with less
+//! weight. Between neighbouring returns of one surface that are farther apart than voxels, more of both are put in, so that the surface
+//! is closed. What rays of later scans pass through is erased (`carve`).
 //!
 //! Which voxels: within √3·κ/2 of the line along the normal, as far in front of the surface and behind it as marching cubes needs
-//! them; a longer line would only carry the surface beyond its edges. Where a return stands alone, without planes about it, its
-//! line is as long as beams are apart. What distance: (v − p)·n/μ. What weight: min(1, 1/range) × the cosine of the incidence,
-//! falling to 0 behind the surface, where nothing was seen.
+//! them; a longer line would only carry the surface beyond its edges. What distance: (v − p)·n/μ. What weight: min(1, 1/range) × the
+//! cosine of the incidence, falling to 0 behind the surface, where nothing was seen.
 
 use std::time::Instant;
 
@@ -48,14 +47,8 @@ pub const FULL_BEHIND: f32 = 1.0;
 /// Patches between returns are this far apart, in voxels: lines of radius √3/2 still overlap.
 pub const STEP: f32 = 1.5;
 
-/// Weight of a patch between returns: two neighbours know it half as well as they know themselves.
-pub const BETWEEN_WEIGHT: f32 = 0.5;
-
-/// Weight of a return without a plane.
+/// Weight where there is no plane.
 pub const RAY_WEIGHT: f32 = 0.1;
-
-/// How far the line of a return reaches that stands alone: this many times the distance to the next ring.
-pub const LONE_REACH: f32 = 2.0;
 
 /// Options of [`Patch`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,9 +67,9 @@ pub struct PatchConfig {
 impl Default for PatchConfig {
     fn default() -> Self {
         Self {
-            window_m: 0.12,
+            window_m: 0.1,
             noise_m: 0.0,
-            max_gap_m: 1.0,
+            max_gap_m: 1.5,
             carve: true,
         }
     }
@@ -158,46 +151,35 @@ impl Integrator for Patch {
         self.patches
             .update(image, &placed.points, &placed.origins, column_rad, &limits);
         let (returns, patches) = (placed.len(), &self.patches.all);
-        let is_ray = |i: usize| i < returns && !patches[i].is_some();
-        self.order.sort(grid, anchor, patches.len(), |i| {
-            if is_ray(i) { placed.points[i] } else { patches[i].center }
-        });
+        self.order.sort(grid, anchor, patches.len(), |i| patches[i].center);
         let prepare_secs = start.elapsed().as_secs_f64();
 
         let truncation = map.config().truncation_vox();
         let reach = FRONT.min(truncation);
-        // In voxels. At a return that stands alone nothing else tells where the surface is.
-        let reach_of_ray = |i: usize, range_m: f32| match image.place_of(i) {
-            Some((ring, column)) if self.patches.is_alone(image, ring, column) => {
-                let spacing_m = range_m * image.ring_gap_beside(ring);
-                (LONE_REACH * spacing_m / grid.voxel_size_m() as f32).clamp(reach, truncation)
-            }
-            _ => reach,
-        };
         let mut done = self.lines.run(
             map,
             &self.order.numbers,
             |i| prefetch(&patches[i]),
             #[inline(always)]
             |i| {
-                if is_ray(i) {
+                let patch = &patches[i];
+                if i < returns && !patch.is_plane() {
                     let ray = placed.ray(i).ok_or(Skip::OutsideGrid)?;
                     return Ok(Line {
                         center: ray.end,
                         axis: -ray.direction,
-                        reach: reach_of_ray(i, ray.range_m),
+                        reach,
                         weight: RAY_WEIGHT * (1.0 / ray.range_m).min(1.0),
                     });
                 }
-                let patch = &patches[i];
                 let range_m = patch.center.length();
                 let cosine = (-patch.center.dot(patch.normal) / range_m).max(0.0);
-                let kind = if i < returns { 1.0 } else { BETWEEN_WEIGHT };
+                let share = if patch.is_plane() { 1.0 } else { RAY_WEIGHT };
                 Ok(Line {
                     center: anchor.locate(patch.center).ok_or(Skip::OutsideGrid)?,
                     axis: patch.normal,
                     reach,
-                    weight: kind * cosine * (1.0 / range_m).min(1.0),
+                    weight: share * cosine * (1.0 / range_m).min(1.0),
                 })
             },
             &AlongPatch { truncation },

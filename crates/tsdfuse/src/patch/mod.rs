@@ -14,7 +14,7 @@ use crate::{
     lanes::LANES,
     sensor::{NONE, ScanImage},
 };
-pub use between::{MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT};
+pub use between::{MAX_GAP_OF_RAYS_M, MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT};
 pub use sums::MAX_COLUMNS;
 
 use between::Between;
@@ -26,16 +26,27 @@ use sums::{Window, WindowSums};
 pub(crate) struct Patch {
     /// Where the surface is, in the axes of the points.
     pub(crate) center: Vec3,
-    /// Unit vector towards the side of the sensor; zero where there is no plane.
+    /// Unit vector towards the side of the sensor; zero at a return without a plane.
     pub(crate) normal: Vec3,
-    /// Whether it takes all returns around, in the whole window.
-    pub(crate) whole: bool,
+    pub(crate) kind: Kind,
+}
+
+/// What is known about the surface at a patch, the least first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Kind {
+    /// Where a ray ends.
+    #[default]
+    Ray,
+    /// A plane through half of the returns around.
+    Half,
+    /// A plane through all of them.
+    Whole,
 }
 
 impl Patch {
     /// Whether there is a plane.
-    pub(crate) fn is_some(&self) -> bool {
-        self.normal != Vec3::ZERO
+    pub(crate) fn is_plane(&self) -> bool {
+        self.kind != Kind::Ray
     }
 }
 
@@ -66,9 +77,6 @@ pub const MIN_SPREAD: f32 = 2.0;
 
 /// The least cosine of the angle between a ray and a plane's normal.
 pub const MIN_COSINE: f32 = 0.03;
-
-/// A return without a plane stands alone if at most this many of the eight beside it have one.
-pub const MAX_BESIDE: usize = 2;
 
 /// Fewer returns make no plane that could be told from their noise.
 pub const MIN_RETURNS: f32 = 5.0;
@@ -128,7 +136,10 @@ impl Patches {
     ) {
         self.sums.update(image, points);
         self.all.clear();
-        self.all.resize(points.len(), Patch::default());
+        self.all.extend(points.iter().map(|&center| Patch {
+            center,
+            ..Patch::default()
+        }));
         let mut scan = Scan {
             image,
             points,
@@ -148,26 +159,10 @@ impl Patches {
             dispatch!(level, _ => scan.find(columns, part));
         });
         for Part { returns, patches, .. } in &self.parts {
-            returns
-                .iter()
-                .zip(patches)
-                .for_each(|(&i, &patch)| self.all[i as usize] = patch);
+            let planes = returns.iter().zip(patches).filter(|(_, patch)| patch.is_plane());
+            planes.for_each(|(&i, &patch)| self.all[i as usize] = patch);
         }
         self.between.append_to(&mut self.all, image, column_rad, limits);
-    }
-
-    /// Whether neither a return, in this cell of the image, nor those beside it have planes, but for [`MAX_BESIDE`].
-    #[inline(always)]
-    pub(crate) fn is_alone(&self, image: &ScanImage, ring: usize, column: usize) -> bool {
-        let columns = image.columns();
-        let mut planes = 0;
-        for ring in ring.saturating_sub(1)..=ring + 1 {
-            for column in [column + columns - 1, column, column + 1] {
-                let patch = image.get(ring, column % columns).map(|i| &self.all[i]);
-                planes += usize::from(patch.is_some_and(Patch::is_some));
-            }
-        }
-        planes <= MAX_BESIDE
     }
 }
 
@@ -247,12 +242,9 @@ impl Scan<'_> {
                     moments.set(lane, &self.sums.of(around.window(WHOLE)), self.points[i as usize]);
                 }
             }
-            let found = self.judge(&moments, &of);
+            let found = self.judge(&moments, &of, Kind::Whole);
             for (lane, out) in out.iter_mut().enumerate() {
-                *out = Patch {
-                    whole: true,
-                    ..found.patches[lane]
-                };
+                *out = found.patches[lane];
                 // Halves would have fewer returns still.
                 if found.residual2[lane] == f32::INFINITY && moments.count()[lane] >= MIN_RETURNS {
                     rest.push(group * LANES + lane);
@@ -274,7 +266,7 @@ impl Scan<'_> {
                     moments.set(lane, &self.sums.of(around.window(reach)), self.points[i as usize]);
                 }
             }
-            let found = self.judge(&moments, &of);
+            let found = self.judge(&moments, &of, Kind::Half);
             for (k, &place) in few.iter().enumerate() {
                 let first_half = HALVES.len() * k;
                 let mut best = first_half;
@@ -315,7 +307,7 @@ impl Scan<'_> {
 
     /// Which planes are surface that their return lies on.
     #[inline(always)]
-    fn judge(&self, moments: &Moments, of: &[u32; LANES]) -> Found {
+    fn judge(&self, moments: &Moments, of: &[u32; LANES], kind: Kind) -> Found {
         let planes = moments.planes();
         let mut found = Found {
             patches: [Patch::default(); LANES],
@@ -345,7 +337,7 @@ impl Scan<'_> {
                 found.patches[lane] = Patch {
                     center: self.points[i] + normal * (noise * off),
                     normal: if facing > 0.0 { -normal } else { normal },
-                    whole: false,
+                    kind,
                 };
                 found.residual2[lane] = residual2;
             }
