@@ -138,7 +138,7 @@ impl Surface<'_> {
             trajectory.relative_at(f64::from(latest_secs)).1.length() as f32
         });
         let nearer_m = off_m + shift_m + self.config.max_gap_m;
-        let each = (1.0 + MOST_BETWEEN) * (1.0 + MOST_BETWEEN);
+        let each = 1.0 + 2.0 * MOST_BETWEEN;
         weights(&scan.points, |range_m| each / (range_m - nearer_m).max(1.0))
     }
 }

@@ -230,55 +230,78 @@ fn blocks_that_changed_are_told_once() {
     assert!(erased);
 }
 
+/// What a 16-beam sensor sees of a rough wall at 5 m: no planes, 17 cm from ring to ring. On its left half returns are much nearer in every
+/// second ring.
+fn rough_wall() -> Scan {
+    let sensor = sensor();
+    let mut scan = Scan::default();
+    let mut rings = Vec::new();
+    for (ring, elevation) in sensor.elevations_deg.iter().enumerate() {
+        for column in 0..sensor.columns {
+            let azimuth = -std::f32::consts::TAU * (column as f32 + 0.5) / sensor.columns as f32;
+            if azimuth.cos() > 0.8 {
+                let (sin_e, cos_e) = elevation.to_radians().sin_cos();
+                let direction = Vec3::new(cos_e * azimuth.cos(), cos_e * azimuth.sin(), sin_e);
+                let rough = ((column * 7919 + ring as u32 * 104_729) % 1000) as f32 / 1000.0 - 0.5;
+                let nearer = if azimuth.sin() > 0.0 && ring % 2 == 0 { 1.5 } else { 0.0 };
+                scan.points.push(direction * (5.0 / direction.x + 0.3 * rough - nearer));
+                rings.push(ring as u16);
+            }
+        }
+    }
+    scan.rings = Some(rings);
+    scan
+}
+
 #[test]
-fn only_returns_that_stand_alone_reach_far() {
-    // One return in each twentieth column of a ring: none has a neighbour. Rings are 2° apart: 70 cm far away, 2 cm near by.
-    let alone = |range: f32| {
-        let sensor = sensor();
-        let ring = sensor.elevations_deg.iter().position(|e| *e == 1.0).unwrap() as u16;
-        let (sin_e, cos_e) = 1.0_f32.to_radians().sin_cos();
-        let azimuths = (0..sensor.columns).step_by(20);
-        let points: Vec<Vec3> = azimuths
-            .map(|column| {
-                let (sin, cos) = (-std::f32::consts::TAU * (column as f32 + 0.5) / sensor.columns as f32).sin_cos();
-                range * Vec3::new(cos_e * cos, cos_e * sin, sin_e)
-            })
-            .collect();
-        let scan = Scan {
-            rings: Some(vec![ring; points.len()]),
-            points: points.clone(),
+fn rays_without_planes_are_linked_where_no_depth_lies_between() {
+    let map = |max_gap_m| {
+        let config = PatchConfig {
+            max_gap_m,
             ..Default::default()
         };
-        let map = fused(PatchConfig::default(), Some(sensor), &[scan]);
-        let observed = |p: &Vec3, before_m: f32| {
-            let place = (*p - p.normalize() * before_m).as_dvec3() / 0.05;
-            map.voxel(place.floor().as_ivec3()).weight_sum > 0
-        };
-        let before = (0..40).map(|k| 0.01 * k as f32);
-        before
-            .filter(|&m| points.iter().any(|p| observed(p, m)))
-            .fold(0.0, f32::max)
+        fused(config, Some(sensor()), &[rough_wall()])
     };
-    let (far, near) = (alone(20.0), alone(0.7));
-    assert!((0.19..0.26).contains(&far), "{far}");
-    assert!((0.07..0.14).contains(&near), "{near}");
+    // In the middle between two rings, along the right half of the wall or its left.
+    let covered = |map: &VoxelMap, side: f64| {
+        let heights = (-3..3).map(|k| 5.0 * f64::from(2 * k).to_radians().tan());
+        let places = heights.flat_map(|z| (20..200).map(move |k| DVec3::new(0.0, 0.01 * side * f64::from(k), z)));
+        let observed = |place: DVec3| {
+            (60..105).any(|k| {
+                let place = place + DVec3::X * 0.05 * f64::from(k);
+                map.voxel((place / 0.05).floor().as_ivec3()).weight_sum > 0
+            })
+        };
+        let (seen, all) = places.fold((0, 0), |(seen, all), p| (seen + i32::from(observed(p)), all + 1));
+        f64::from(seen) / f64::from(all)
+    };
+    let (linked, open) = (map(1.0), map(0.0));
+    assert!(covered(&linked, -1.0) > 0.9, "{}", covered(&linked, -1.0));
+    assert!(covered(&open, -1.0) < 0.6, "{}", covered(&open, -1.0));
+    // Nothing between what is near and what is far.
+    let (left, left_open) = (covered(&linked, 1.0), covered(&open, 1.0));
+    assert!(left < left_open + 0.1, "{left} {left_open}");
+}
 
-    // A floor has planes.
-    let floor = fused(
-        PatchConfig::default(),
-        Some(sensor()),
-        &[scan(DVec3::new(0.0, 0.0, 1.8), &[])],
-    );
-    let places = (-40..40).flat_map(|x| (100..150).map(move |y| (x, y)));
-    let voxels = places.flat_map(|(x, y)| (-20..20).map(move |z| IVec3::new(x, y, z)));
-    let heights: Vec<i32> = voxels
-        .filter(|&voxel| floor.voxel(voxel).weight_sum > 0)
-        .map(|voxel| voxel.z)
-        .collect();
-    assert!(
-        heights.len() > 300 && heights.iter().all(|z| (-3..3).contains(z)),
-        "{heights:?}"
-    );
+#[test]
+fn a_thin_board_stays_while_rays_pass_behind_it() {
+    // Seen from above at first, then from below, by rays that pass just under it.
+    let board = (DVec3::new(3.0, -1.0, 1.0), DVec3::new(4.0, 1.0, 1.02));
+    let from = |z: f64, k: i32| scan(DVec3::new(0.05 * f64::from(k), 0.0, z), &[board]);
+    let above: Vec<Scan> = (0..4).map(|k| from(1.6, k)).collect();
+    let mut scans = above.clone();
+    scans.extend((0..24).map(|k| from(0.8, k)));
+    let top = |scans: &[Scan], carve: bool| {
+        let config = PatchConfig {
+            carve,
+            ..Default::default()
+        };
+        let mesh = mesh::extract(&fused(config, Some(sensor()), scans)).unwrap();
+        let near = |v: &&DVec3| v.cmpgt(board.0 - 0.06).all() && v.cmplt(board.1 + 0.06).all();
+        mesh.vertices.iter().filter(near).count() as f64
+    };
+    let (kept, all) = (top(&scans, true), top(&scans, false));
+    assert!(top(&above, false) > 200.0 && kept > 0.9 * all, "{kept} of {all}");
 }
 
 #[test]

@@ -55,8 +55,31 @@ fn look_at(corner_vox: vec3<f32>, voxel_size_m: f32) -> Look {
     return Look(is_there(cell) && length(cell.point - origin_of(cell)) > far_m, secs);
 }
 
-// Whether a ray passes a place, seen from where the sensor is some seconds after the scan's pose, and ends well behind it.
-fn is_passed(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> bool {
+// F at a voxel of a block, and whether it is in there and was observed.
+fn distance_at(slot: u32, at: vec3<i32>) -> vec2<f32> {
+    if any(at < vec3(0)) || any(at > vec3(7)) {
+        return vec2(0.0);
+    }
+    let voxel = load_voxel(slot, u32(at.x + 8 * at.y + 64 * at.z));
+    return vec2(f32(bitcast<i32>(voxel.y)) / f32(max(voxel.x, 1u)), f32(voxel.x > 0u));
+}
+
+// How much F grows along an axis: of two differences the sum, of one, twice.
+fn slope(slot: u32, at: vec3<i32>, step: vec3<i32>) -> f32 {
+    let here = distance_at(slot, at).x;
+    let before = distance_at(slot, at - step);
+    let after = distance_at(slot, at + step);
+    let both = select(2.0, 1.0, before.y * after.y == 1.0);
+    return both * ((here - before.x) * before.y + (after.x - here) * after.y);
+}
+
+// The direction in which F grows at a voxel of a block, by differences to its neighbours in the block that were observed.
+fn gradient_at(slot: u32, at: vec3<i32>) -> vec3<f32> {
+    return vec3(slope(slot, at, vec3(1, 0, 0)), slope(slot, at, vec3(0, 1, 0)), slope(slot, at, vec3(0, 0, 1)));
+}
+
+// The ray that passes a place, seen from where the sensor is some seconds after the scan's pose, and ends well behind it; zero if none does.
+fn ray_past(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> vec3<f32> {
     let at = seen_at(to_sensor_after(center, secs));
     for (var next = 0u; next < 2u; next++) {
         let number = cell_at(at.x, at.y + next);
@@ -69,17 +92,16 @@ fn is_passed(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> bool {
         let p = center - origin;
         let size = length(end);
         let along = dot(p, end) / size;
-        let normal = patches[number].normal;
-        let above = select(size - along, dot(p - end, normal), any(normal != vec3(0.0)));
+        let above = select(size - along, dot(p - end, patches[number].normal), is_plane(patches[number]));
         // From one vector: a difference of squares would lose what it is to tell.
         let beside = p - end * (along / size);
         let margin_m = MARGIN * voxel_size_m;
         let radius_m = BESIDE * voxel_size_m;
         if along > 0.0 && size - along > margin_m && above > margin_m && dot(beside, beside) < radius_m * radius_m {
-            return true;
+            return end;
         }
     }
-    return false;
+    return vec3(0.0);
 }
 
 // A part of both sums, or nothing of what is left.
@@ -122,8 +144,10 @@ fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
                 let voxel = load_voxel(slot, lane + 64u * k);
                 // Also false where nothing was observed.
                 if f32(bitcast<i32>(voxel.y)) < -inside * f32(voxel.x) {
-                    let at = vec3<f32>(vec3(lane & 7u, lane >> 3u, k)) + 0.5;
-                    here |= u32(is_passed((corner + at) * voxel_size_m, look.secs, voxel_size_m)) << k;
+                    let at = vec3(lane & 7u, lane >> 3u, k);
+                    let ray = ray_past((corner + vec3<f32>(at) + 0.5) * voxel_size_m, look.secs, voxel_size_m);
+                    let is_passed = any(ray != vec3(0.0)) && dot(gradient_at(slot, vec3<i32>(at)), ray) <= 0.0;
+                    here |= u32(is_passed) << k;
                 }
             }
             atomicAdd(&passed, countOneBits(here));

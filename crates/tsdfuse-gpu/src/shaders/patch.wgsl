@@ -6,10 +6,10 @@ fn fuse_return(i: u32, thread: u32) -> u32 {
     let cell = cell_of(i);
     let has_plane = cell != NONE && is_plane(patches[cell]);
     if thread == 0u && !has_plane {
-        return fuse_ray(i, cell);
+        return fuse_ray(i);
     } else if thread == 0u {
-        return fuse_patch(patches[cell], 1.0);
-    } else if has_plane {
+        return fuse_patch(patches[cell]);
+    } else if cell != NONE {
         let ring = cell / frame.columns;
         let column = cell % frame.columns;
         if thread == 2u {
@@ -26,13 +26,14 @@ fn front() -> f32 {
     return min(FRONT, frame.truncation_vox);
 }
 
-fn fuse_patch(surface: Patch, share: f32) -> u32 {
+fn fuse_patch(surface: Patch) -> u32 {
     let center = frame.anchor_fraction + surface.center * frame.voxels_per_m;
     if !all(abs(center) < vec3(MAX_REACH)) {
         return OUTSIDE_GRID;
     }
     let range_m = max(length(surface.center), 1e-30);
     let cosine = max(-dot(surface.center, surface.normal) / range_m, 0.0);
+    let share = select(RAY_WEIGHT, 1.0, is_plane(surface));
     var l = line(center, surface.normal, share * cosine * min(1.0 / range_m, 1.0));
     l.reach = front();
     walk(l);
@@ -40,33 +41,14 @@ fn fuse_patch(surface: Patch, share: f32) -> u32 {
 }
 
 // A return without a plane.
-fn fuse_ray(i: u32, cell: u32) -> u32 {
+fn fuse_ray(i: u32) -> u32 {
     let ray = ray_of(i);
     if ray.outcome == FUSED {
         var l = line(ray.end, -ray.direction, RAY_WEIGHT * min(1.0 / ray.range_m, 1.0));
         l.reach = front();
-        // Nothing else tells where the surface is.
-        if cell != NONE && is_alone(cell) {
-            let spacing_vox = ray.range_m * ring_gap(cell / frame.columns) * frame.voxels_per_m;
-            l.reach = clamp(LONE_REACH * spacing_vox, l.reach, frame.truncation_vox);
-        }
         walk(l);
     }
     return ray.outcome;
-}
-
-// Whether neither a cell nor those around have planes, but for MAX_BESIDE.
-fn is_alone(cell: u32) -> bool {
-    let ring = cell / frame.columns;
-    let column = cell % frame.columns;
-    let columns = vec3(column_before(column), column, next_column(column));
-    var planes = 0u;
-    for (var r = max(ring, 1u) - 1u; r <= min(ring + 1u, frame.rings - 1u); r++) {
-        for (var k = 0u; k < 3u; k++) {
-            planes += u32(is_plane(patches[r * frame.columns + columns[k]]));
-        }
-    }
-    return planes <= MAX_BESIDE;
 }
 
 // The greatest power of two that is not above a number; at least 1.
@@ -74,23 +56,29 @@ fn nth(dense: f32) -> u32 {
     return 1u << firstLeadingBit(max(u32(dense), 1u));
 }
 
-// Fuses what lies between two patches, if they are of one surface.
+// Fuses what lies between two neighbours, if they are of one surface.
 fn connect(a: Patch, b: Patch) {
     let apart = b.center - a.center;
     let gap = length(apart);
-    // A plane that takes part of a window only is known as far as that window reaches.
-    let far = select(2.0 * frame.window_m, frame.max_gap_m, (a.whole & b.whole) == 1u);
-    if !is_plane(b) || gap < frame.step_m || gap > far || dot(a.normal, b.normal) < MIN_DOT {
-        return;
+    let kind = min(a.kind, b.kind);
+    // Without a plane there is no normal, and nothing is off it.
+    let off = max(abs(dot(a.normal, apart)), abs(dot(b.normal, apart)));
+    var far = min(frame.max_gap_m, MAX_GAP_OF_RAYS_M);
+    var is_one = off <= frame.window_m && abs(length(b.center) - length(a.center)) <= MIN_DOT * gap;
+    if kind > RAY {
+        // A plane that takes part of a window only is known as far as that window reaches.
+        far = select(2.0 * frame.window_m, frame.max_gap_m, kind == WHOLE);
+        is_one = off <= MAX_OFF_BETWEEN * noise_m() && dot(a.normal, b.normal) >= MIN_DOT;
     }
-    if max(abs(dot(a.normal, apart)), abs(dot(b.normal, apart))) > MAX_OFF_BETWEEN * noise_m() {
+    if kind == NOWHERE || gap < frame.step_m || gap > far || !is_one {
         return;
     }
     let steps = ceil(gap / frame.step_m);
     for (var k = 1.0; k < steps; k += 1.0) {
         let t = k / steps;
-        let normal = a.normal + (b.normal - a.normal) * t;
-        fuse_patch(Patch(a.center + apart * t, 1u, normal / length(normal)), BETWEEN_WEIGHT);
+        let center = a.center + apart * t;
+        let normal = select(a.normal + (b.normal - a.normal) * t, -center, kind == RAY);
+        fuse_patch(Patch(center, kind, normal / max(length(normal), 1e-30)));
     }
 }
 

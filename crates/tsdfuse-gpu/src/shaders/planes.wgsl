@@ -9,11 +9,16 @@ fn ring_gap(ring: u32) -> f32 {
 struct Patch {
     // Where the surface is, world axes relative to the anchor, metres.
     center: vec3<f32>,
-    // 1 if it takes the whole window.
-    whole: u32,
-    // Towards the sensor; zero where there is no plane.
+    kind: u32,
+    // Towards the sensor; zero at a return without a plane.
     normal: vec3<f32>,
 }
+
+// What is known about the surface at a patch: no return, where a ray ends, a plane through half of the returns around, or through all.
+const NOWHERE: u32 = 0u;
+const RAY: u32 = 1u;
+const HALF: u32 = 2u;
+const WHOLE: u32 = 3u;
 
 @group(1) @binding(6) var<storage, read_write> patches: array<Patch>;
 // The standard deviation of ranges, then the squared noise that windows tell of; infinite where they tell nothing.
@@ -22,7 +27,7 @@ struct Patch {
 const INFINITE: u32 = 0x7f800000u;
 
 fn is_plane(surface: Patch) -> bool {
-    return any(surface.normal != vec3(0.0));
+    return surface.kind >= HALF;
 }
 
 // The standard deviation of ranges, metres.
@@ -131,7 +136,7 @@ struct Found {
     residual2: f32,
 }
 
-fn judge(plane: Plane, point: vec3<f32>, ray: vec3<f32>) -> Found {
+fn judge(plane: Plane, kind: u32, point: vec3<f32>, ray: vec3<f32>) -> Found {
     let facing = dot(ray, plane.normal);
     let off = dot(plane.normal, plane.mean);
     let cosine2 = facing * facing / max(dot(ray, ray), 1e-37);
@@ -145,12 +150,12 @@ fn judge(plane: Plane, point: vec3<f32>, ray: vec3<f32>) -> Found {
         && plane.spread2 >= MIN_SPREAD * MIN_SPREAD * max(plane.residual2, noise2)
         && cosine2 >= MIN_COSINE * MIN_COSINE;
     if !is_surface {
-        return Found(Patch(point, 0u, vec3(0.0)), bitcast<f32>(INFINITE));
+        return Found(Patch(point, RAY, vec3(0.0)), bitcast<f32>(INFINITE));
     }
     let normal = select(plane.normal, -plane.normal, facing > 0.0);
     // Of what is off the plane, noise goes, and shape stays.
     let noise = min(noise2_across / max(plane.residual2, 1e-37), 1.0);
-    return Found(Patch(point + plane.normal * (noise * off), 0u, normal), plane.residual2);
+    return Found(Patch(point + plane.normal * (noise * off), kind, normal), plane.residual2);
 }
 
 // The squared noise that the windows of some returns tell of.
@@ -228,19 +233,18 @@ fn find_planes(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgr
     for (var i = id.x; i < frame.rings * frame.columns; i += 64u * groups.x) {
         let cell = cells[i];
         if !is_there(cell) {
-            patches[i].normal = vec3(0.0);
+            patches[i].kind = NOWHERE;
             continue;
         }
         let ray = cell.point - origin_of(cell);
         let window = window_about(i, length(ray));
         let whole = plane_of(window, cell.point);
-        var best = judge(whole, cell.point, ray);
-        best.surface.whole = 1u;
+        var best = judge(whole, WHOLE, cell.point, ray);
         // Halves have fewer returns still.
         if !is_plane(best.surface) && whole.count >= MIN_RETURNS {
             for (var k = 0; k < 4; k++) {
                 let half = Window(window.ring, window.column, window.reach * HALVES[k]);
-                let found = judge(plane_of(half, cell.point), cell.point, ray);
+                let found = judge(plane_of(half, cell.point), HALF, cell.point, ray);
                 if found.residual2 < best.residual2 {
                     best = found;
                 }

@@ -88,7 +88,9 @@ pub(crate) fn assert_same_counts(device: &[Fused], cpu: &[Fused]) {
             (&a.name, a.fused_returns, a.skipped),
             (&b.name, b.fused_returns, b.skipped)
         );
-        assert!(a.updated_blocks.abs_diff(b.updated_blocks) <= 1, "{a:?} {b:?}");
+        // Where a plane is one on one side only, so are its links.
+        let few = 1.max(b.updated_blocks / 1000);
+        assert!(a.updated_blocks.abs_diff(b.updated_blocks) <= few, "{a:?} {b:?}");
     }
 }
 

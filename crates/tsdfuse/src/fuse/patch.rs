@@ -69,7 +69,7 @@ impl Default for PatchConfig {
         Self {
             window_m: 0.1,
             noise_m: 0.0,
-            max_gap_m: 1.5,
+            max_gap_m: 1.75,
             carve: true,
         }
     }

@@ -1,12 +1,4 @@
 //! Patches between neighbouring returns, so that a surface is closed where beams are farther apart than voxels.
-//!
-//! ```text
-//!  ring r+1   d ─ · ─ e      return a sees to what lies between it and the next one of its ring (b), between it and that of the
-//!             │       │      next ring (d), and within the cell of the four, where all of its sides are links
-//!             ·   ·   ·
-//!             │       │
-//!  ring r     a ─ · ─ b
-//! ```
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -24,8 +16,8 @@ pub const MAX_OFF: f32 = 2.0;
 /// Where not both have planes, returns are linked no farther apart than this, metres.
 pub const MAX_GAP_OF_RAYS_M: f32 = 0.4;
 
-/// Finds patches between those of neighbouring returns, at most `step_m` apart. Where columns are denser than that, only every second,
-/// fourth, … is linked to the next ring. Keeps its buffers.
+/// Finds patches between those of neighbouring returns (next ring, next column), at most `step_m` apart. Where columns are denser than
+/// that, only every second, fourth, … is linked to the next ring. Keeps its buffers.
 #[derive(Debug, Default)]
 pub(super) struct Between {
     parts: Vec<Vec<Patch>>,
@@ -42,21 +34,13 @@ impl Between {
                 let Some((ring, column)) = image.place_of(i) else {
                     continue;
                 };
-                let patch = |ring, column| image.get(ring, column).map(|i| &all[i]);
                 let next = if column + 1 == image.columns() { 0 } else { column + 1 };
-                let a = &all[i];
-                let dense = limits.step_m / (column_rad * a.center.length());
-                let d = patch(ring + 1, column).filter(|_| column % nth(dense) == 0);
-                let ab = patch(ring, next).and_then(|b| Link::new(a, b, limits));
-                let ad = d.and_then(|d| Link::new(a, d, limits));
-                [ab, ad].iter().flatten().for_each(|link| between.extend(link.patches()));
-                if let (Some(ab), Some(ad)) = (ab, ad)
-                    && ab.steps > 1
-                    && ad.steps > 1
-                    && let Some(e) = patch(ring + 1, next)
-                    && let (Some(be), Some(de)) = (Link::new(ab.to, e, limits), Link::new(ad.to, e, limits))
-                {
-                    fill([ab, de], [ad, be], between);
+                let dense = limits.step_m / (column_rad * all[i].center.length());
+                let above = image.get(ring + 1, column).filter(|_| column % nth(dense) == 0);
+                for other in [above, image.get(ring, next)].into_iter().flatten() {
+                    if let Some(kind) = linked(&all[i], &all[other], limits) {
+                        between.extend(on_the_way(&all[i], &all[other], kind, limits.step_m));
+                    }
                 }
             }
         });
@@ -70,78 +54,49 @@ fn nth(dense: f32) -> usize {
     1 << (dense as u32).max(1).ilog2()
 }
 
-/// Adds what lies within a cell, between two links along rings and two along columns.
-fn fill(along: [Link<'_>; 2], up: [Link<'_>; 2], between: &mut Vec<Patch>) {
-    let kind = along.iter().chain(&up).map(|link| link.kind).min().unwrap_or_default();
-    let [columns, rings] = [along, up].map(|[one, other]| one.steps.max(other.steps));
-    for column in 1..columns {
-        let t = column as f32 / columns as f32;
-        let [from, to] = &along.map(|link| Link { kind, ..link }.at(t));
-        let steps = rings;
-        between.extend(Link { from, to, kind, steps }.patches());
-    }
+/// What is known between two neighbours; `None` if nothing tells that they are of one surface.
+#[inline(always)]
+fn linked(a: &Patch, b: &Patch, limits: &Limits) -> Option<Kind> {
+    let apart = b.center - a.center;
+    let gap = apart.length();
+    // Without a plane there is no normal, and nothing is off it.
+    let off = a.normal.dot(apart).abs().max(b.normal.dot(apart).abs());
+    let kind = a.kind.min(b.kind);
+    let (far, is_one) = match kind {
+        Kind::Ray => {
+            let deeper = (b.center.length() - a.center.length()).abs();
+            let is_one = off <= limits.window_m && deeper <= MIN_DOT * gap;
+            (limits.max_gap_m.min(MAX_GAP_OF_RAYS_M), is_one)
+        }
+        _ => {
+            let is_one = off <= MAX_OFF * limits.noise_m && a.normal.dot(b.normal) >= MIN_DOT;
+            // A plane that takes part of a window only is known as far as that window reaches.
+            let far = if kind == Kind::Whole {
+                limits.max_gap_m
+            } else {
+                2.0 * limits.window_m
+            };
+            (far, is_one)
+        }
+    };
+    (gap >= limits.step_m && gap <= far && is_one).then_some(kind)
 }
 
-/// Two patches with surface between them.
-#[derive(Clone, Copy)]
-struct Link<'a> {
-    from: &'a Patch,
-    to: &'a Patch,
-    /// What is known between them.
-    kind: Kind,
-    /// So many steps from one to the other; 1 if nothing lies between them.
-    steps: usize,
-}
-
-impl<'a> Link<'a> {
-    /// `None` if nothing tells that two neighbours are of one surface.
-    #[inline(always)]
-    fn new(from: &'a Patch, to: &'a Patch, limits: &Limits) -> Option<Self> {
-        let apart = to.center - from.center;
-        let gap = apart.length();
-        // Without a plane there is no normal, and nothing is off it.
-        let off = from.normal.dot(apart).abs().max(to.normal.dot(apart).abs());
-        let kind = from.kind.min(to.kind);
-        let (far, is_one) = match kind {
-            Kind::Ray => {
-                let deeper = (to.center.length() - from.center.length()).abs();
-                let is_one = off <= limits.window_m && deeper <= MIN_DOT * gap;
-                (limits.max_gap_m.min(MAX_GAP_OF_RAYS_M), is_one)
-            }
-            _ => {
-                let is_one = off <= MAX_OFF * limits.noise_m && from.normal.dot(to.normal) >= MIN_DOT;
-                // A plane that takes part of a window only is known as far as that window reaches.
-                let far = if kind == Kind::Whole {
-                    limits.max_gap_m
-                } else {
-                    2.0 * limits.window_m
-                };
-                (far, is_one)
-            }
-        };
-        let steps = (gap / limits.step_m).ceil() as usize;
-        (gap <= far && is_one).then_some(Self { from, to, kind, steps })
-    }
-
-    /// The patch at a part of the way.
-    #[inline(always)]
-    fn at(&self, t: f32) -> Patch {
-        let mixed = |from: Vec3, to: Vec3| from + (to - from) * t;
-        let center = mixed(self.from.center, self.to.center);
-        let normal = match self.kind {
+/// Patches between two.
+#[inline(always)]
+fn on_the_way(a: &Patch, b: &Patch, kind: Kind, step_m: f32) -> impl Iterator<Item = Patch> {
+    let steps = (a.center.distance(b.center) / step_m).ceil();
+    (1..steps as usize).map(move |k| {
+        let mixed = |a: Vec3, b: Vec3| a + (b - a) * (k as f32 / steps);
+        let center = mixed(a.center, b.center);
+        let normal = match kind {
             Kind::Ray => -center,
-            _ => mixed(self.from.normal, self.to.normal),
+            _ => mixed(a.normal, b.normal),
         };
         Patch {
             center,
             normal: normal.normalize_or_zero(),
-            kind: self.kind,
+            kind,
         }
-    }
-
-    /// What lies between the two.
-    #[inline(always)]
-    fn patches(&self) -> impl Iterator<Item = Patch> {
-        (1..self.steps).map(|k| self.at(k as f32 / self.steps as f32))
-    }
+    })
 }
