@@ -285,12 +285,14 @@ fn rays_without_planes_are_linked_where_no_depth_lies_between() {
 
 #[test]
 fn a_thin_board_stays_while_rays_pass_behind_it() {
-    // Seen from above at first, then from below, by rays that pass just under it.
+    // Seen from above at first, then from below, by rays some of which pass just under it and end on a wall. Whichever side they come
+    // from, two thirds of it would be left.
     let board = (DVec3::new(3.0, -1.0, 1.0), DVec3::new(4.0, 1.0, 1.02));
-    let from = |z: f64, k: i32| scan(DVec3::new(0.05 * f64::from(k), 0.0, z), &[board]);
-    let above: Vec<Scan> = (0..4).map(|k| from(1.6, k)).collect();
+    let wall = (DVec3::new(8.0, -4.0, 0.0), DVec3::new(9.0, 4.0, 3.0));
+    let from = |z: f64| scan(DVec3::new(0.0, 0.0, z), &[board, wall]);
+    let above: Vec<Scan> = (0..4).map(|k| from(1.6 + 0.02 * f64::from(k))).collect();
     let mut scans = above.clone();
-    scans.extend((0..24).map(|k| from(0.8, k)));
+    scans.extend((0..40).map(|k| from(0.5 + 0.005 * f64::from(k))));
     let top = |scans: &[Scan], carve: bool| {
         let config = PatchConfig {
             carve,
@@ -301,7 +303,7 @@ fn a_thin_board_stays_while_rays_pass_behind_it() {
         mesh.vertices.iter().filter(near).count() as f64
     };
     let (kept, all) = (top(&scans, true), top(&scans, false));
-    assert!(top(&above, false) > 200.0 && kept > 0.9 * all, "{kept} of {all}");
+    assert!(top(&above, false) > 200.0 && kept > 0.75 * all, "{kept} of {all}");
 }
 
 #[test]
