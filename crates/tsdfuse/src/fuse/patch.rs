@@ -58,7 +58,7 @@ pub struct PatchConfig {
     pub window_m: f32,
     /// The standard deviation of ranges, metres; 0: estimated from each scan, 1 to 3 cm.
     pub noise_m: f32,
-    /// Surface is closed between neighbouring returns no farther apart than this, metres; 0: nowhere.
+    /// Surface is closed between neighbouring returns no farther apart than this, metres; 0: nowhere. (Without planes: 0.4.)
     pub max_gap_m: f32,
     /// Whether free space erases what is not there any more.
     pub carve: bool,
