@@ -82,9 +82,9 @@ fn a_fused_plane_is_near_the_true_one_and_farther_from_a_wrong_one() {
         points(&all),
         points(&fourth)
     );
-    // Rings are far apart, so samples between them are far from points, and few places are covered.
+    // Rings are far apart: the plane is closed between them, so samples there are far from points.
     let at_10_cm = ["precision", "completeness"].map(|share| number(&all, &format!("/all/thresholds/1/{share}")));
-    assert!(at_10_cm[0] > 0.8 && at_10_cm[1] > 0.5, "{at_10_cm:?}");
+    assert!((0.6..0.8).contains(&at_10_cm[0]) && at_10_cm[1] > 0.9, "{at_10_cm:?}");
     assert_eq!(all["protocol"]["sampling"], "poisson_disk");
 }
 
