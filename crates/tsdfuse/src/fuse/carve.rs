@@ -19,7 +19,7 @@ use super::{
     placed::Placed,
 };
 use crate::{
-    index::{BLOCK_EDGE, BlockIndex},
+    index::{BLOCK_EDGE, BlockIndex, local_number},
     map::{Block, REGION_SHIFT, Voxel, VoxelMap, WEIGHT_SCALE},
     patch::Patch,
     scan::Scan,
@@ -271,9 +271,7 @@ pub fn nearest_rings(sensor: &SensorModel) -> Vec<u16> {
 fn gradient_at(block: &Block, at: IVec3) -> Vec3 {
     let distance = |at: IVec3| {
         let is_here = at.cmpge(IVec3::ZERO).all() && at.cmplt(IVec3::splat(BLOCK_EDGE)).all();
-        let number = at.dot(IVec3::new(1, BLOCK_EDGE, BLOCK_EDGE * BLOCK_EDGE)) as usize;
-        let voxel = is_here.then(|| block.voxels[number]).filter(|v| v.weight_sum > 0)?;
-        Some(voxel.distance_sum as f32 / voxel.weight_sum as f32)
+        is_here.then(|| block.voxels[local_number(at)])?.distance()
     };
     let here = distance(at).unwrap_or(0.0);
     // Of two differences the sum; of one, twice: all axes alike.
