@@ -137,9 +137,13 @@ impl Surface<'_> {
         let shift_m = scan.trajectory().map_or(0.0, |trajectory| {
             trajectory.relative_at(f64::from(latest_secs)).1.length() as f32
         });
-        let nearer_m = off_m + shift_m + self.config.max_gap_m;
         let each = 1.0 + 2.0 * MOST_BETWEEN;
-        weights(&scan.points, |range_m| each / (range_m - nearer_m).max(1.0))
+        weights(&scan.points, |range_m| {
+            // Of two that are linked the other one may be nearer, and the middle between them a little more.
+            let of_ends_m = range_m / (1.0 + twin::MAX_GAP_OF_RANGE);
+            let widest_m = self.config.max_gap_m * (range_m / twin::FAR_M).max(1.0);
+            each / (of_ends_m - 0.5 * widest_m - off_m - shift_m).max(1.0)
+        })
     }
 }
 

@@ -127,12 +127,12 @@ fn gaps_between_rings_are_closed_as_far_as_is_asked_for() {
         };
         fused(config, Some(sensor()), &scans)
     };
-    // The rings at 6.7 and 7.8 m, those at 7.8 and 9.3 m.
-    let (closed, open) = (with(2.0), with(0.0));
-    assert_eq!(floor_covered(&closed, 7.3), 1.0);
+    // The rings at 6.7 and 7.8 m, 0.26 m apart as the sensor sees them, those at 7.8 and 9.3 m, 0.30 m.
+    let (closed, open) = (with(0.4), with(0.0));
+    assert_eq!((floor_covered(&closed, 7.3), floor_covered(&closed, 8.5)), (1.0, 1.0));
     assert_eq!(floor_covered(&open, 7.3), 0.0);
     assert!(floor_covered(&open, 7.78) > 0.8);
-    let some = with(1.2);
+    let some = with(0.28);
     assert_eq!((floor_covered(&some, 7.3), floor_covered(&some, 8.5)), (1.0, 0.0));
 }
 

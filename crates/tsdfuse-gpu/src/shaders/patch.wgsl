@@ -60,17 +60,22 @@ fn nth(dense: f32) -> u32 {
 fn connect(a: Patch, b: Patch) {
     let apart = b.center - a.center;
     let gap = length(apart);
+    let range = min(length(a.center), length(b.center));
+    let growing = frame.max_gap_m * (range / FAR_M);
+    let widest = max(growing, frame.max_gap_m);
     let kind = min(a.kind, b.kind);
     // Without a plane there is no normal, and nothing is off it.
     let off = max(abs(dot(a.normal, apart)), abs(dot(b.normal, apart)));
-    var far = min(frame.max_gap_m, MAX_GAP_OF_RAYS_M);
-    var is_one = off <= frame.window_m && abs(length(b.center) - length(a.center)) <= MIN_DOT * gap;
+    var is_one = gap <= widest && off <= frame.window_m && abs(length(b.center) - length(a.center)) <= MIN_DOT * gap;
     if kind > RAY {
-        // A plane that takes part of a window only is known as far as that window reaches.
-        far = select(2.0 * frame.window_m, frame.max_gap_m, kind == WHOLE);
-        is_one = off <= MAX_OFF_BETWEEN * noise_m() && dot(a.normal, b.normal) >= MIN_DOT;
+        // A plane that takes part of a window only is known as far as that window reaches; others, as far as the sensor sees it.
+        let middle = a.center + b.center;
+        let seen = apart - middle * (dot(apart, middle) / max(dot(middle, middle), 1e-30));
+        let far = select(min(max(growing, 2.0 * frame.window_m), widest), widest, kind == WHOLE);
+        is_one = select(gap, length(seen), kind == WHOLE) <= far
+            && off <= MAX_OFF_BETWEEN * noise_m() && dot(a.normal, b.normal) >= MIN_DOT;
     }
-    if kind == NOWHERE || gap < frame.step_m || gap > far || !is_one {
+    if kind == NOWHERE || gap < frame.step_m || gap > MAX_GAP_OF_RANGE * range || !is_one {
         return;
     }
     let steps = ceil(gap / frame.step_m);

@@ -58,7 +58,8 @@ pub struct PatchConfig {
     pub window_m: f32,
     /// The standard deviation of ranges, metres; 0: estimated from each scan, 1 to 3 cm.
     pub noise_m: f32,
-    /// Surface is closed between neighbouring returns no farther apart than this, metres; 0: nowhere. (Without planes: 0.4.)
+    /// Surface is closed between neighbouring returns no farther apart than this, metres, up to 25 m away; farther away, in proportion
+    /// to the range. On planes it is what the sensor sees of the gap, so that a road closes between rings metres apart. 0: nowhere.
     pub max_gap_m: f32,
     /// Whether free space erases what is not there any more.
     pub carve: bool,
@@ -69,7 +70,7 @@ impl Default for PatchConfig {
         Self {
             window_m: 0.1,
             noise_m: 0.0,
-            max_gap_m: 1.75,
+            max_gap_m: 0.4,
             carve: true,
         }
     }

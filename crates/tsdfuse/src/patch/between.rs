@@ -11,10 +11,13 @@ use crate::sensor::{PART, ScanImage};
 pub const MIN_DOT: f32 = 0.9;
 
 /// Each of the two lies on the plane of the other, up to this many standard deviations of ranges.
-pub const MAX_OFF: f32 = 2.0;
+pub const MAX_OFF: f32 = 4.0;
 
-/// Where not both have planes, returns are linked no farther apart than this, metres.
-pub const MAX_GAP_OF_RAYS_M: f32 = 0.4;
+/// From this range on, metres, the greatest gap grows with the range, as the one between beams does.
+pub const FAR_M: f32 = 25.0;
+
+/// Returns are linked no farther apart than this share of their range.
+pub const MAX_GAP_OF_RANGE: f32 = 0.5;
 
 /// Finds patches between those of neighbouring returns (next ring, next column), at most `step_m` apart. Where columns are denser than
 /// that, only every second, fourth, … is linked to the next ring. Keeps its buffers.
@@ -59,27 +62,27 @@ fn nth(dense: f32) -> usize {
 fn linked(a: &Patch, b: &Patch, limits: &Limits) -> Option<Kind> {
     let apart = b.center - a.center;
     let gap = apart.length();
+    let range = a.center.length().min(b.center.length());
+    if !(gap >= limits.step_m && gap <= MAX_GAP_OF_RANGE * range) {
+        return None;
+    }
+    let growing = limits.max_gap_m * (range / FAR_M);
+    let widest = growing.max(limits.max_gap_m);
     // Without a plane there is no normal, and nothing is off it.
     let off = a.normal.dot(apart).abs().max(b.normal.dot(apart).abs());
+    let is_one_plane = || off <= MAX_OFF * limits.noise_m && a.normal.dot(b.normal) >= MIN_DOT;
     let kind = a.kind.min(b.kind);
-    let (far, is_one) = match kind {
+    let is_one = match kind {
         Kind::Ray => {
             let deeper = (b.center.length() - a.center.length()).abs();
-            let is_one = off <= limits.window_m && deeper <= MIN_DOT * gap;
-            (limits.max_gap_m.min(MAX_GAP_OF_RAYS_M), is_one)
+            gap <= widest && off <= limits.window_m && deeper <= MIN_DOT * gap
         }
-        _ => {
-            let is_one = off <= MAX_OFF * limits.noise_m && a.normal.dot(b.normal) >= MIN_DOT;
-            // A plane that takes part of a window only is known as far as that window reaches.
-            let far = if kind == Kind::Whole {
-                limits.max_gap_m
-            } else {
-                2.0 * limits.window_m
-            };
-            (far, is_one)
-        }
+        // It is known as far as the part of the window reaches that it takes.
+        Kind::Half => gap <= growing.max(2.0 * limits.window_m).min(widest) && is_one_plane(),
+        // As the sensor sees it: what could stand between two rings on a road is no higher.
+        Kind::Whole => apart.reject_from(a.center + b.center).length() <= widest && is_one_plane(),
     };
-    (gap >= limits.step_m && gap <= far && is_one).then_some(kind)
+    is_one.then_some(kind)
 }
 
 /// Patches between two.
@@ -99,4 +102,75 @@ fn on_the_way(a: &Patch, b: &Patch, kind: Kind, step_m: f32) -> impl Iterator<It
             kind,
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: Limits = Limits {
+        window_m: 0.1,
+        noise_m: 0.02,
+        step_m: 0.075,
+        max_gap_m: 0.4,
+    };
+
+    fn patch(center: Vec3, normal: Vec3, kind: Kind) -> Patch {
+        Patch { center, normal, kind }
+    }
+
+    /// Whether what the sensor meets head-on `range` away, `gap` apart, is linked.
+    fn facing(kind: Kind, range: f32, gap: f32, max_gap_m: f32) -> bool {
+        let normal = if kind == Kind::Ray { Vec3::ZERO } else { -Vec3::X };
+        let at = |y: f32| patch(Vec3::new(range, y, 0.0), normal, kind);
+        let limits = Limits { max_gap_m, ..LIMITS };
+        let link = linked(&at(-0.5 * gap), &at(0.5 * gap), &limits);
+        assert!(link.is_none_or(|link| link == kind));
+        link.is_some()
+    }
+
+    #[test]
+    fn gaps_are_linked_up_to_a_width_that_grows_far_away() {
+        // Kind, range, and the widest gap that is linked there.
+        for (kind, range, widest) in [
+            (Kind::Ray, 5.0, 0.4),
+            (Kind::Ray, 20.0, 0.4),
+            (Kind::Ray, 50.0, 0.8),
+            (Kind::Half, 5.0, 0.2),
+            (Kind::Half, 20.0, 0.32),
+            (Kind::Half, 50.0, 0.8),
+            (Kind::Whole, 5.0, 0.4),
+            (Kind::Whole, 50.0, 0.8),
+            (Kind::Whole, 0.6, 0.3), // half the range
+        ] {
+            assert!(facing(kind, range, 0.98 * widest, 0.4), "{kind:?} {range}");
+            assert!(!facing(kind, range, 1.05 * widest, 0.4), "{kind:?} {range}");
+            assert!(!facing(kind, range, 0.98 * widest, 0.0), "{kind:?} {range}");
+        }
+        assert!(facing(Kind::Ray, 5.0, 0.08, 0.4) && !facing(Kind::Ray, 5.0, 0.07, 0.4));
+    }
+
+    #[test]
+    fn on_a_road_the_gap_is_what_the_sensor_sees_of_it() {
+        // 1.8 m below the sensor; rays meet it at 9°.
+        let road = |x: f32, kind: Kind| patch(Vec3::new(x, 0.0, -1.8), Vec3::Z, kind);
+        let of = |kind: Kind, far: f32| linked(&road(11.0, kind), &road(far, kind), &LIMITS);
+        assert_eq!(of(Kind::Whole, 13.6), Some(Kind::Whole)); // 0.38 m
+        assert_eq!(of(Kind::Whole, 14.4), None); // 0.48 m
+        assert_eq!((of(Kind::Half, 11.3), of(Kind::Ray, 11.3)), (None, None));
+    }
+
+    #[test]
+    fn what_lies_on_other_planes_is_not_linked() {
+        let wall = |x: f32, y: f32, turn: f32| {
+            let (sin, cos) = turn.to_radians().sin_cos();
+            patch(Vec3::new(x, y, 0.0), Vec3::new(-cos, sin, 0.0), Kind::Whole)
+        };
+        let with = |other: Patch| linked(&wall(10.0, 0.0, 0.0), &other, &LIMITS).is_some();
+        assert!(with(wall(10.07, 0.3, 0.0)) && !with(wall(10.09, 0.3, 0.0)));
+        assert!(with(wall(10.0, 0.1, 25.0)) && !with(wall(10.0, 0.1, 27.0)));
+        // Of a return without a plane it is a window's half.
+        let ray = |x: f32| patch(Vec3::new(x, 0.3, 0.0), Vec3::ZERO, Kind::Ray);
+        assert!(with(ray(10.09)) && !with(ray(10.11)));
+    }
 }
