@@ -9,6 +9,7 @@ use crate::{
     fuse::{FuseConfig, Method},
     index::{Grid, RegionIndex},
     map::{MapConfig, REGION_SHIFT},
+    patch::FAR_M,
     scan::Scan,
     sensor::approx::atan2_f32,
     surfel::SurfelConfig,
@@ -38,7 +39,7 @@ pub struct Reach {
 const FACTOR: f64 = 1.1;
 /// in columns this far away.
 const HOLES_RAD: f64 = 0.05;
-/// Windows and gaps of `patch` and centres of projection are not farther than this from returns,
+/// Windows of `patch` and centres of projection are not farther than this from returns,
 const MARGIN_M: f64 = 2.0;
 /// neighbourhoods so many voxels,
 const NEIGHBOURHOOD_VOX: f64 = 16.0;
@@ -50,8 +51,9 @@ impl Method {
     pub fn reach(self, config: &FuseConfig, map: &MapConfig, scan: &Scan) -> Reach {
         let (way_m, turn_rad) = motion(scan);
         let (farthest_m, sectors_m) = farthest(scan);
-        let disc_m = match self {
+        let beside_m = match self {
             Self::Surfel => disc_m(&config.surfel, f64::from(farthest_m)),
+            Self::Patch => f64::from(config.patch.max_gap_m * (farthest_m / FAR_M).max(1.0)),
             _ => 0.0,
         };
         let wider = ((turn_rad + HOLES_RAD) / SECTOR_RAD).ceil() as usize + 1;
@@ -65,7 +67,7 @@ impl Method {
             margin_m: MARGIN_M
                 + NEIGHBOURHOOD_VOX * map.voxel_size_m
                 + TRUNCATIONS * map.truncation_m
-                + disc_m
+                + beside_m
                 + FACTOR * way_m,
         }
     }
