@@ -16,7 +16,6 @@ pub(crate) static CONSTANTS: LazyLock<String> = LazyLock::new(|| {
     }
     let [least, most] = twin::NOISE_M;
     let [turns, turns_updated] = twin::TURNS;
-    let [left, left_updated] = twin::LEFT;
     let lengths = named!(MIN_RETURNS MAX_RESIDUAL MAX_OFF ROUGHNESS_M MIN_SPREAD MIN_COSINE MIN_TELLING FACING MIN_DOT
         MAX_OFF_BETWEEN FRONT BEHIND FULL_BEHIND RAY_WEIGHT FAR_M MAX_GAP_OF_RANGE INSIDE BESIDE MARGIN BINS_PER_RAD SAME_FIRING);
     let counts = named!(MAX_RINGS MAX_COLUMNS SAMPLE MIN_PASSED PHASE_BINS).map(|(name, count)| (name, count as u32));
@@ -30,7 +29,7 @@ pub(crate) static CONSTANTS: LazyLock<String> = LazyLock::new(|| {
         text("f32", &[("LEAST_NOISE_M", least), ("MOST_NOISE_M", most)]),
         text("u32", &counts),
         text("u32", &others),
-        text("i32", &[("LEFT", left), ("LEFT_UPDATED", left_updated)]),
+        text("i32", &named!(LEFT)),
     ]
     .concat()
 });

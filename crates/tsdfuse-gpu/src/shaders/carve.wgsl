@@ -105,9 +105,9 @@ fn ray_past(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> vec3<f32> {
 }
 
 // A part of both sums, or nothing of what is left.
-fn fade(voxel: vec2<u32>, divisor: i32) -> vec2<u32> {
-    let weight = voxel.x / u32(divisor);
-    return select(vec2(weight, bitcast<u32>(bitcast<i32>(voxel.y) / divisor)), vec2(0u), weight < FORGOTTEN);
+fn fade(voxel: vec2<u32>) -> vec2<u32> {
+    let weight = voxel.x / u32(LEFT);
+    return select(vec2(weight, bitcast<u32>(bitcast<i32>(voxel.y) / LEFT)), vec2(0u), weight < FORGOTTEN);
 }
 
 var<workgroup> count: u32;
@@ -158,7 +158,7 @@ fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
         for (var k = 0u; k < 8u; k++) {
             if (changed >> k & 1u) == 1u {
                 let local = lane + 64u * k;
-                store_voxel(slot, local, fade(load_voxel(slot, local), select(LEFT, LEFT_UPDATED, is_updated)));
+                store_voxel(slot, local, fade(load_voxel(slot, local)));
             }
         }
         if is_doubted && lane == 0u {

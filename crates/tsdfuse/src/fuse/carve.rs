@@ -40,10 +40,10 @@ pub const MARGIN: f32 = 2.5;
 pub const FORGOTTEN: u32 = WEIGHT_SCALE / 100;
 
 /// A block is looked at in one of this many scans: one that the scan did not update, and one that it did.
-pub const TURNS: [u32; 2] = [2, 8];
+pub const TURNS: [u32; 2] = [2, 6];
 
-/// What is left of sums that are contradicted, as a divisor: in a block that the scan did not update, and in one that it did.
-pub const LEFT: [i32; 2] = [16, 4];
+/// What is left of sums that are contradicted, as a divisor.
+pub const LEFT: i32 = 16;
 
 /// Of a block that a scan did not update, this many voxels passed make that all of it is doubted.
 pub const MIN_PASSED: usize = 5;
@@ -238,7 +238,7 @@ impl Carver {
                 passed[start / ROW] |= 1 << x;
                 count += 1;
                 if whole && count == MIN_PASSED {
-                    block.voxels.iter_mut().for_each(|voxel| fade(voxel, LEFT[0]));
+                    block.voxels.iter_mut().for_each(fade);
                     return true;
                 }
             }
@@ -248,7 +248,7 @@ impl Carver {
         }
         for (row, passed) in block.voxels.chunks_exact_mut(ROW).zip(passed) {
             let passed = row.iter_mut().enumerate().filter(|(x, _)| passed >> x & 1 == 1);
-            passed.for_each(|(_, voxel)| fade(voxel, LEFT[1]));
+            passed.for_each(|(_, voxel)| fade(voxel));
         }
         true
     }
@@ -313,10 +313,10 @@ fn ray_past(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> Option<
 }
 
 /// Leaves a part of both sums.
-fn fade(voxel: &mut Voxel, divisor: i32) {
+fn fade(voxel: &mut Voxel) {
     *voxel = Voxel {
-        weight_sum: voxel.weight_sum / divisor as u32,
-        distance_sum: voxel.distance_sum / divisor,
+        weight_sum: voxel.weight_sum / LEFT as u32,
+        distance_sum: voxel.distance_sum / LEFT,
     };
     if voxel.weight_sum < FORGOTTEN {
         *voxel = Voxel::default();
