@@ -141,7 +141,7 @@ impl Surface<'_> {
         weights(&scan.points, |range_m| {
             // Of two that are linked the other one may be nearer, and the middle between them a little more.
             let of_ends_m = range_m / (1.0 + twin::MAX_GAP_OF_RANGE);
-            let widest_m = self.config.max_gap_m * (range_m / twin::FAR_M).max(1.0);
+            let widest_m = twin::widest_gap_m(self.config.max_gap_m, range_m);
             each / (of_ends_m - 0.5 * widest_m - off_m - shift_m).max(1.0)
         })
     }

@@ -9,7 +9,7 @@ use crate::{
     fuse::{FuseConfig, Method},
     index::{Grid, RegionIndex},
     map::{MapConfig, REGION_SHIFT},
-    patch::FAR_M,
+    patch::widest_gap_m,
     scan::Scan,
     sensor::approx::atan2_f32,
     surfel::SurfelConfig,
@@ -53,7 +53,7 @@ impl Method {
         let (farthest_m, sectors_m) = farthest(scan);
         let beside_m = match self {
             Self::Surfel => disc_m(&config.surfel, f64::from(farthest_m)),
-            Self::Patch => f64::from(config.patch.max_gap_m * (farthest_m / FAR_M).max(1.0)),
+            Self::Patch => f64::from(widest_gap_m(config.patch.max_gap_m, farthest_m)),
             _ => 0.0,
         };
         let wider = ((turn_rad + HOLES_RAD) / SECTOR_RAD).ceil() as usize + 1;

@@ -5,6 +5,6 @@ pub use super::cylindrical::cylindrical_image;
 pub use super::patch::{BEHIND, FRONT, FULL_BEHIND, RAY_WEIGHT, STEP};
 pub use crate::patch::{
     FACING, FAR_M, MAX_COLUMNS, MAX_GAP_OF_RANGE, MAX_OFF, MAX_OFF_BETWEEN, MAX_RESIDUAL, MAX_RINGS, MIN_COSINE,
-    MIN_DOT, MIN_RETURNS, MIN_SPREAD, MIN_TELLING, NOISE_M, ROUGHNESS_M, SAMPLE,
+    MIN_DOT, MIN_RETURNS, MIN_SPREAD, MIN_TELLING, NOISE_M, ROUGHNESS_M, SAMPLE, widest_gap_m,
 };
 pub use crate::sensor::{PHASE_BINS, SAME_FIRING, ring_gap_tangents};

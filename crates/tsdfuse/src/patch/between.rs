@@ -19,6 +19,12 @@ pub const FAR_M: f32 = 25.0;
 /// Returns are linked no farther apart than this share of their range.
 pub const MAX_GAP_OF_RANGE: f32 = 0.5;
 
+/// The widest gap that is closed at some range.
+#[inline(always)]
+pub fn widest_gap_m(max_gap_m: f32, range_m: f32) -> f32 {
+    max_gap_m * (range_m / FAR_M).max(1.0)
+}
+
 /// Finds patches between those of neighbouring returns (next ring, next column), at most `step_m` apart. Where columns are denser than
 /// that, only every second, fourth, … is linked to the next ring. Keeps its buffers.
 #[derive(Debug, Default)]
@@ -62,23 +68,23 @@ fn nth(dense: f32) -> usize {
 fn linked(a: &Patch, b: &Patch, limits: &Limits) -> Option<Kind> {
     let apart = b.center - a.center;
     let gap = apart.length();
-    let range = a.center.length().min(b.center.length());
+    let ranges = [a, b].map(|patch| patch.center.length());
+    let range = ranges[0].min(ranges[1]);
     if !(gap >= limits.step_m && gap <= MAX_GAP_OF_RANGE * range) {
         return None;
     }
-    let growing = limits.max_gap_m * (range / FAR_M);
-    let widest = growing.max(limits.max_gap_m);
+    let widest = widest_gap_m(limits.max_gap_m, range);
     // Without a plane there is no normal, and nothing is off it.
     let off = a.normal.dot(apart).abs().max(b.normal.dot(apart).abs());
     let is_one_plane = || off <= MAX_OFF * limits.noise_m && a.normal.dot(b.normal) >= MIN_DOT;
     let kind = a.kind.min(b.kind);
     let is_one = match kind {
-        Kind::Ray => {
-            let deeper = (b.center.length() - a.center.length()).abs();
-            gap <= widest && off <= limits.window_m && deeper <= MIN_DOT * gap
-        }
+        Kind::Ray => gap <= widest && off <= limits.window_m && (ranges[1] - ranges[0]).abs() <= MIN_DOT * gap,
         // It is known as far as the part of the window reaches that it takes.
-        Kind::Half => gap <= growing.max(2.0 * limits.window_m).min(widest) && is_one_plane(),
+        Kind::Half => {
+            let growing = limits.max_gap_m * (range / FAR_M);
+            gap <= growing.max(2.0 * limits.window_m).min(widest) && is_one_plane()
+        }
         // As the sensor sees it: what could stand between two rings on a road is no higher.
         Kind::Whole => apart.reject_from(a.center + b.center).length() <= widest && is_one_plane(),
     };

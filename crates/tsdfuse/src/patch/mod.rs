@@ -14,7 +14,7 @@ use crate::{
     lanes::LANES,
     sensor::{NONE, ScanImage},
 };
-pub use between::{FAR_M, MAX_GAP_OF_RANGE, MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT};
+pub use between::{FAR_M, MAX_GAP_OF_RANGE, MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT, widest_gap_m};
 pub use sums::MAX_COLUMNS;
 
 use between::Between;
@@ -59,7 +59,7 @@ pub(crate) struct Limits {
     pub(crate) noise_m: f32,
     /// Neighbours farther apart than this get patches between them, at such distances, …
     pub(crate) step_m: f32,
-    /// … if they are no farther apart than this (of planes: as seen by the sensor), and from [`FAR_M`] on than its share of the range.
+    /// … if they are no farther apart than this (of planes: as seen by the sensor); more, far away: [`widest_gap_m`].
     pub(crate) max_gap_m: f32,
 }
 
