@@ -1,0 +1,75 @@
+//! Everything that decides the result of a run, beside the data.
+
+use serde::{Deserialize, Serialize};
+use tsdfuse::MapConfig;
+use tsdfuse::fuse::{CaminalConfig, FuseConfig, Method, PatchConfig, RaycastConfig, RoldaoConfig};
+use tsdfuse::mesh::MeshConfig;
+use tsdfuse::normals::NormalsConfig;
+use tsdfuse::scan::RangeLimits;
+use tsdfuse::surfel::SurfelConfig;
+use tsdfuse_io::Log;
+
+use crate::error::RunError;
+
+/// Everything that decides the result of a run, beside the data. Its default is for rotating LiDARs; [`Self::for_log`] is
+/// what suits a log.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RunConfig {
+    /// How scans are fused.
+    pub method: Method,
+    /// The voxels.
+    pub map: MapConfig,
+    /// Which ranges are measurements.
+    pub range: RangeLimits,
+    /// Options of the method `raycast`.
+    pub raycast: RaycastConfig,
+    /// Options of the method `normals`.
+    pub normals: NormalsConfig,
+    /// Options of the method `surfel`.
+    pub surfel: SurfelConfig,
+    /// Options of the method `caminal`.
+    pub caminal: CaminalConfig,
+    /// Options of the method `roldao`.
+    pub roldao: RoldaoConfig,
+    /// Options of the method `patch`.
+    pub patch: PatchConfig,
+    /// What becomes surface.
+    pub mesh: MeshConfig,
+}
+
+impl RunConfig {
+    /// The defaults for a log: what it suggests of method, voxels and ranges, and the defaults of all else.
+    pub fn for_log(log: &Log) -> Self {
+        let suggested = log.suggested();
+        Self {
+            method: suggested.method,
+            map: suggested.map,
+            range: suggested.range,
+            ..Self::default()
+        }
+    }
+
+    /// The options of all methods.
+    pub fn methods(&self) -> FuseConfig {
+        FuseConfig {
+            raycast: self.raycast,
+            normals: self.normals,
+            surfel: self.surfel,
+            caminal: self.caminal,
+            roldao: self.roldao,
+            patch: self.patch,
+        }
+    }
+
+    /// Checks all options.
+    ///
+    /// # Errors
+    /// [`RunError::Config`] names the option and what is possible.
+    pub fn validate(&self) -> Result<(), RunError> {
+        self.map.validate().map_err(RunError::config)?;
+        self.methods().validate().map_err(RunError::config)?;
+        self.range.validate().map_err(RunError::config)?;
+        self.mesh.validate().map_err(RunError::config)
+    }
+}

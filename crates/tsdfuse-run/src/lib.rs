@@ -1,0 +1,47 @@
+//! A LiDAR log in, a map out.
+//!
+//! [`Session`] is the loop: it reads scans ahead, drops invalid returns, fuses by any method, on the CPU or a GPU, in memory, paged
+//! or with a store that outlives a crash, and tells an [`Observer`] what happens. [`Job`] is a run as data: it can be stored, sent to
+//! another machine, and gone on with; the command `tsdfuse fuse` makes one of its arguments and prints what it observes.
+//!
+//! ```text
+//!   Job ─▶ Log + Setup ─▶ Session: step, step, … finish ─▶ mesh, map, picture, Report
+//!                            │ Event                │
+//!                            ▼                      ▼
+//!                         Observer        Backend: memory · paged · gpu
+//! ```
+//!
+//! Nothing is printed, and nothing ends the process. A scan that cannot be used is a [`BadScan`], the only trouble that
+//! [`Setup::skip_bad`] skips; all else is another [`RunError`] and ends the run.
+//!
+//! The types to know: [`Session`], [`Setup`], [`Event`], [`Stop`]; [`RunConfig`] and its [`Settings`] in layers; [`Job`], [`Report`].
+
+mod backend;
+mod checkpoint;
+mod config;
+mod device;
+mod error;
+mod event;
+mod job;
+mod load;
+mod machine;
+mod outputs;
+pub mod report;
+mod session;
+mod settings;
+pub mod surface;
+pub mod view;
+
+#[cfg(feature = "gpu")]
+pub use backend::pool;
+pub use checkpoint::Checkpoint;
+pub use config::RunConfig;
+pub use device::Device;
+pub use error::{BadScan, Result, RunError};
+pub use event::{Event, Observer, Silent, Stop};
+pub use job::{Input, Job, Resumed};
+pub use machine::{Machine, peak_memory_bytes};
+pub use outputs::{Outputs, check as check_outputs, check_file};
+pub use report::Report;
+pub use session::{Session, Setup};
+pub use settings::Settings;

@@ -1,0 +1,87 @@
+//! A saved map that is continued as if there had been no break.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use tsdfuse::fuse::Method;
+use tsdfuse::map::MapError;
+use tsdfuse::{MapConfig, SensorModel, VoxelMap};
+use tsdfuse_io::map_file::Reader;
+
+use crate::backend::Paged;
+use crate::config::RunConfig;
+use crate::error::{Result, RunError};
+use crate::event::{Event, Observer};
+use crate::report::LoadedMap;
+
+/// A saved map whose header was read.
+pub(crate) struct Loading {
+    path: PathBuf,
+    reader: Reader<BufReader<File>>,
+}
+
+impl Loading {
+    pub(crate) fn open(path: &Path) -> Result<Self> {
+        Ok(Self {
+            path: path.to_owned(),
+            reader: Reader::open(path)?,
+        })
+    }
+
+    /// The configuration that the map was made with.
+    pub(crate) fn config(&self) -> &MapConfig {
+        self.reader.config()
+    }
+
+    /// Refuses what cannot continue this map, and tells what may differ from a run without a break.
+    pub(crate) fn check(
+        &self,
+        config: &RunConfig,
+        sensors: &[Option<SensorModel>],
+        observer: &mut dyn Observer,
+    ) -> Result<()> {
+        let path = self.path.display();
+        if let Err(MapError::Differ { name, a, b }) = self.reader.config().check_same(&config.map) {
+            let told = format!("{path}: the map has {name} = {a}, but the settings say {b}");
+            return Err(RunError::config(format_args!(
+                "{told} (`tsdfuse map resample` makes other voxels)"
+            )));
+        }
+        if config.method == Method::Patch && config.patch.carve && !self.reader.tells_integrations() {
+            observer.on(Event::Note(&format!(
+                "{path}: its format, version 1, does not tell how many scans it holds; rays erase in other turns than without a break"
+            )));
+        }
+        let method = config.method.build(&config.methods(), None);
+        if method.needs_sensor() && sensors.iter().any(Option::is_none) {
+            observer.on(Event::Note(&format!(
+                "the sensor is guessed from the first of these scans, not of those in {path}; --sensor makes sure it is the same"
+            )));
+        }
+        Ok(())
+    }
+
+    fn loaded(&self, blocks: usize) -> LoadedMap {
+        LoadedMap {
+            path: self.path.clone(),
+            integrations: self.reader.tells_integrations().then(|| self.reader.integrations()),
+            blocks,
+        }
+    }
+
+    /// Reads the map into memory.
+    pub(crate) fn read(self) -> Result<(VoxelMap, LoadedMap)> {
+        let mut loaded = self.loaded(0);
+        let map = self.reader.map()?;
+        loaded.blocks = map.block_count();
+        Ok((map, loaded))
+    }
+
+    /// Reads the map into a store.
+    pub(crate) fn read_into(self, paged: &mut Paged) -> Result<LoadedMap> {
+        let mut loaded = self.loaded(0);
+        loaded.blocks = paged.load(self.reader)?;
+        Ok(loaded)
+    }
+}

@@ -1,0 +1,644 @@
+//! The loop: scans are read ahead, cleaned, fused, followed and committed, one after the other.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+use tsdfuse::fuse::{Method, RoldaoForm};
+use tsdfuse::index::BlockIndex;
+use tsdfuse::mesh::{Changes, Mesh};
+use tsdfuse::{Pose, Scan, VoxelMap};
+use tsdfuse_io::{Log, ReadAhead, ReadScan, Selection};
+use tsdfuse_store::PagedMap;
+
+use crate::backend::{Backend, Failed, Paged, Settled};
+use crate::checkpoint::Checkpoint;
+use crate::config::RunConfig;
+use crate::device::Device;
+use crate::error::{BadScan, Result, RunError};
+use crate::event::{Event, Observer, Stop};
+use crate::job::Job;
+use crate::report::{
+    FinishReport, LoadedMap, MapReport, MeshReport, PagingReport, SavedMap, ScanReport, SkippedScan, Sums, Totals,
+    ViewReport,
+};
+use crate::load::Loading;
+use crate::view;
+
+/// Scans whose regions are loaded ahead.
+const AHEAD: usize = 3;
+
+/// How a log is fused: the configuration, and where the map is meanwhile.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Setup {
+    /// What decides the result.
+    pub config: RunConfig,
+    /// Which scans are fused.
+    pub selection: Selection,
+    /// Whether scans that cannot be used are left out; otherwise the first one ends the run.
+    pub skip_bad: bool,
+    /// What fuses.
+    pub device: Device,
+    /// Most memory for blocks of the map; the others are in a file meanwhile.
+    pub memory_bytes: Option<usize>,
+    /// The file in which the map is kept as it grows, so that a run that was ended early can go on.
+    pub store: Option<PathBuf>,
+    /// Scans from commit to commit of the store.
+    pub commit_every: usize,
+    /// Where the temporary store of a limited memory lies: in this folder.
+    pub temporary: PathBuf,
+    /// A saved map to continue.
+    pub load_map: Option<PathBuf>,
+    /// Scans from one [`Event::SurfaceChanged`] to the next; `None`: nobody wants to know.
+    pub follow_every: Option<usize>,
+}
+
+impl Default for Setup {
+    fn default() -> Self {
+        Self {
+            config: RunConfig::default(),
+            selection: Selection::default(),
+            skip_bad: false,
+            device: Device::Cpu,
+            memory_bytes: None,
+            store: None,
+            commit_every: 100,
+            temporary: std::env::temp_dir(),
+            load_map: None,
+            follow_every: None,
+        }
+    }
+}
+
+impl Setup {
+    /// The defaults for a log.
+    pub fn for_log(log: &Log) -> Self {
+        Self {
+            config: RunConfig::for_log(log),
+            ..Self::default()
+        }
+    }
+
+    /// Whether not all of the map is in memory.
+    pub fn is_paged(&self) -> bool {
+        self.memory_bytes.is_some() || self.store.is_some()
+    }
+
+    /// Refuses what does not go together.
+    ///
+    /// # Errors
+    /// [`RunError::Config`] says what.
+    pub fn check(&self) -> Result<()> {
+        self.config.validate()?;
+        let is_batch = self.config.method == Method::Roldao && self.config.roldao.form == RoldaoForm::Batch;
+        if self.is_paged() {
+            if self.device != Device::Cpu {
+                return Err(RunError::config(
+                    "--memory and --store are for maps that the CPU fuses: leave out --device",
+                ));
+            }
+            if is_batch {
+                return Err(RunError::config(
+                    "--memory and --store: roldao.form = batch keeps the points of all scans in memory",
+                ));
+            }
+        }
+        if let (Some(path), true) = (&self.load_map, is_batch) {
+            return Err(RunError::config(format_args!(
+                "{}: roldao.form = batch fits planes to all scans at once, and a saved map no longer holds them",
+                path.display()
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// A log that is being fused.
+///
+/// ```no_run
+/// use tsdfuse_run::{Event, Session, Setup, Silent};
+///
+/// let log = tsdfuse_io::open("pandaset/002")?;
+/// let mut session = Session::begin(&log, Setup::for_log(&log), &mut Silent)?;
+/// while session.step(&mut |event: Event<'_>| println!("{event:?}"))? {}
+/// session.finish(&mut Silent)?;
+/// session.write_surface("street.ply".as_ref())?;
+/// # Ok::<(), tsdfuse_run::RunError>(())
+/// ```
+pub struct Session {
+    setup: Setup,
+    /// What messages call the log.
+    name: String,
+    reading: Option<ReadAhead>,
+    /// Poses of the scans to come, where they are known.
+    next: VecDeque<Option<Pose>>,
+    backend: Box<dyn Backend>,
+    /// Scans that were given to the backend but are not settled.
+    under_way: VecDeque<(usize, ScanReport)>,
+    checkpoint: Checkpoint,
+    /// Scans that were fused in this process.
+    scans: Vec<ScanReport>,
+    loaded: Option<LoadedMap>,
+    changes: Changes,
+    /// Blocks that were updated since changes were told.
+    unfollowed: Vec<BlockIndex>,
+    full: Option<String>,
+    stopped: bool,
+    finish: FinishReport,
+    begun: Instant,
+    seconds: f64,
+    stop: Stop,
+}
+
+impl Session {
+    /// Begins to fuse a log.
+    ///
+    /// # Errors
+    /// [`RunError::Config`] for a setup that does not go together, and what keeps the map from being made or loaded.
+    pub fn begin(log: &Log, setup: Setup, observer: &mut dyn Observer) -> Result<Self> {
+        Self::begin_job(log, setup, None, observer)
+    }
+
+    pub(crate) fn begin_job(log: &Log, setup: Setup, job: Option<Job>, observer: &mut dyn Observer) -> Result<Self> {
+        setup.check()?;
+        let sensors: Vec<_> = log.sensors().iter().map(|sensor| sensor.model.clone()).collect();
+        let mut checkpoint = Checkpoint {
+            job,
+            config: setup.config.clone(),
+            sensors: sensors.clone(),
+            is_loaded: false,
+            asked: log.len().map(|scans| setup.selection.indices(scans).len()),
+            done: 0,
+            fused: 0,
+            sums: Sums::default(),
+            skipped: Vec::new(),
+        };
+        let loading = setup.load_map.as_deref().map(Loading::open).transpose()?;
+        if let Some(loading) = &loading {
+            loading.check(&setup.config, &sensors, observer)?;
+        }
+        let (backend, loaded): (Box<dyn Backend>, _) = if setup.is_paged() {
+            let mut paged = Paged::begin(&setup, &sensors, &checkpoint, observer)?;
+            let load = |loading: Loading| {
+                let loaded = loading.read_into(&mut paged)?;
+                checkpoint.is_loaded = true;
+                paged.commit(&checkpoint.bytes())?;
+                Ok::<_, RunError>(loaded)
+            };
+            match loading.map(load).transpose() {
+                Ok(loaded) => (Box::new(paged), loaded),
+                Err(error) => {
+                    // A store without the map that it continues is of no use.
+                    paged.remove();
+                    return Err(error);
+                }
+            }
+        } else {
+            let loaded = loading.map(Loading::read).transpose()?;
+            let (map, loaded) = match loaded {
+                Some((map, loaded)) => (map, Some(loaded)),
+                None => (VoxelMap::new(setup.config.map)?, None),
+            };
+            (setup.device.open(map, &setup.config, &sensors)?, loaded)
+        };
+        let mut session = Self::with(log, setup, backend, checkpoint);
+        session.loaded = loaded;
+        Ok(session.started(observer))
+    }
+
+    /// Goes on with a store, after what was committed last.
+    ///
+    /// # Errors
+    /// If the store was not begun with this configuration and these scans.
+    pub(crate) fn resume(
+        log: &Log,
+        setup: Setup,
+        store: PagedMap,
+        checkpoint: Checkpoint,
+        observer: &mut dyn Observer,
+    ) -> Result<Self> {
+        setup.check()?;
+        let path = store.path().display().to_string();
+        if checkpoint.config != setup.config {
+            return Err(RunError::config(format_args!(
+                "{path}: its run had other settings; the log may have changed"
+            )));
+        }
+        if setup.load_map.is_some() && !checkpoint.is_loaded {
+            return Err(RunError::config(format_args!(
+                "{path}: the run ended before all of the map that it continues was stored; remove the store and run it again"
+            )));
+        }
+        let asked = log.len().map(|scans| setup.selection.indices(scans).len());
+        if checkpoint.asked != asked {
+            let count = |scans: Option<usize>| scans.map_or("unknown".to_owned(), |n| n.to_string());
+            return Err(RunError::config(format_args!(
+                "{path}: its run had {} scans, and now there are {}",
+                count(checkpoint.asked),
+                count(asked)
+            )));
+        }
+        let backend = Paged::resume(store, &setup, &checkpoint.sensors);
+        Ok(Self::with(log, setup, Box::new(backend), checkpoint).started(observer))
+    }
+
+    fn with(log: &Log, setup: Setup, backend: Box<dyn Backend>, checkpoint: Checkpoint) -> Self {
+        let mut next = VecDeque::new();
+        let reading = match log.len() {
+            Some(scans) => {
+                let mut indices = setup.selection.indices(scans);
+                indices.drain(..checkpoint.done.min(indices.len()));
+                next.extend(indices.iter().map(|&index| log.scans()[index].pose));
+                log.read_indices(indices)
+            }
+            None => log.read_ahead(&setup.selection),
+        };
+        Self {
+            setup,
+            name: log.name().to_owned(),
+            reading: Some(reading),
+            next,
+            backend,
+            under_way: VecDeque::new(),
+            checkpoint,
+            scans: Vec::new(),
+            loaded: None,
+            changes: Changes::default(),
+            unfollowed: Vec::new(),
+            full: None,
+            stopped: false,
+            finish: FinishReport::default(),
+            begun: Instant::now(),
+            seconds: 0.0,
+            stop: Stop::default(),
+        }
+    }
+
+    fn started(mut self, observer: &mut dyn Observer) -> Self {
+        let device = self.backend.device();
+        if let Some(loaded) = &self.loaded {
+            observer.on(Event::MapLoaded(loaded));
+        }
+        observer.on(Event::Begun {
+            scans: self.checkpoint.asked,
+            done: self.checkpoint.done,
+            device: device.as_deref(),
+        });
+        self.begun = Instant::now();
+        self
+    }
+
+    /// What stops this session between two scans, from any thread.
+    pub fn stopper(&self) -> Stop {
+        self.stop.clone()
+    }
+
+    /// Lets something that exists already stop this session.
+    pub fn stop_by(&mut self, stop: &Stop) {
+        self.stop = stop.clone();
+    }
+
+    /// Reads and fuses the next scan; whether there may be more. After the last one, and when it was stopped, all scans are
+    /// in the map and the store is committed.
+    ///
+    /// # Errors
+    /// [`RunError::BadScan`] for a scan that cannot be used, unless [`Setup::skip_bad`] is set. All else ends the run; a store
+    /// then holds what was committed last.
+    pub fn step(&mut self, observer: &mut dyn Observer) -> Result<bool> {
+        let Some(reading) = &mut self.reading else { return Ok(false) };
+        self.stopped = self.stop.is_stopped();
+        let waiting = Instant::now();
+        let read = if self.stopped { None } else { reading.next() };
+        let Some(read) = read else {
+            self.reading = None;
+            self.settle_all(observer)?;
+            return Ok(false);
+        };
+        let wait = waiting.elapsed().as_secs_f64();
+        self.next.pop_front();
+        self.fuse_read(read, wait, observer)?;
+        Ok(self.full.is_none())
+    }
+
+    /// Fuses a scan that does not come from the log: of a sensor by its number in the log.
+    ///
+    /// # Errors
+    /// As [`Self::step`].
+    pub fn fuse(&mut self, sensor: usize, scan: Scan, observer: &mut dyn Observer) -> Result<()> {
+        let read = ReadScan {
+            index: self.checkpoint.done,
+            sensor,
+            scan: Ok(scan),
+            read_secs: 0.0,
+        };
+        self.fuse_read(read, 0.0, observer)
+    }
+
+    /// Fuses all scans, lets methods that collect scans fuse them, and checks that something came of it.
+    ///
+    /// # Errors
+    /// As [`Self::step`]; [`RunError::Nothing`] if no point of any scan could be fused.
+    pub fn run(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        while self.step(observer)? {}
+        self.finish(observer)
+    }
+
+    /// Ends the fusing: all scans are in the map, and methods that collect scans have fused them.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn finish(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        self.reading = None;
+        self.settle_all(observer)?;
+        self.check()?;
+        let start = Instant::now();
+        let updated = self.backend.finish()?;
+        self.finish = FinishReport {
+            seconds: start.elapsed().as_secs_f64(),
+            updated_blocks: updated.len(),
+        };
+        self.unfollowed.extend(updated);
+        self.seconds = self.begun.elapsed().as_secs_f64();
+        if self.setup.follow_every.is_some() {
+            self.tell_changes(observer)?;
+        }
+        observer.on(Event::Done { stopped: self.stopped });
+        Ok(())
+    }
+
+    /// Fuses a scan, or skips it, and counts it as done.
+    fn fuse_read(&mut self, read: ReadScan, wait: f64, observer: &mut dyn Observer) -> Result<()> {
+        let (index, name) = (read.index, read.name());
+        match self.take(read, wait, observer) {
+            Ok(()) => {}
+            Err(RunError::BadScan(BadScan { reason, .. })) if self.setup.skip_bad => {
+                self.skip(index, SkippedScan { name, reason }, observer);
+            }
+            Err(RunError::Full(reason)) => {
+                self.fill_up(index, name, reason, observer);
+                return Ok(());
+            }
+            Err(error) => return Err(error),
+        }
+        self.checkpoint.done += 1;
+        if self.setup.store.is_some() && self.checkpoint.done.is_multiple_of(self.setup.commit_every.max(1)) {
+            self.commit(observer)?;
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, read: ReadScan, wait: f64, observer: &mut dyn Observer) -> Result<()> {
+        let ReadScan { index, sensor, .. } = read;
+        let bad = |scan: &str, reason: String| BadScan {
+            scan: scan.to_owned(),
+            reason,
+        };
+        let name = read.name();
+        let mut scan = read.scan.map_err(|error| bad(&name, error.to_string()))?;
+        let start = Instant::now();
+        scan.drop_invalid(&self.setup.config.range);
+        observer.on(Event::ScanRead { index, scan: &scan });
+        self.guess_sensor(sensor, &scan);
+        let dropping = start.elapsed().as_secs_f64();
+        let next = self.next.iter().take(AHEAD).flatten();
+        self.backend.prefetch(&next.copied().collect::<Vec<_>>())?;
+        let settled = self.backend.fuse(sensor, &scan).map_err(|failed| match failed {
+            Failed::Scan(error) => bad(&scan.name, format!("{}: {error}", self.name)).into(),
+            Failed::Run(error) => error,
+        })?;
+        let took = start.elapsed().as_secs_f64();
+        let sums = Sums {
+            read: read.read_secs,
+            wait,
+            prepare: dropping,
+            fuse: took - dropping,
+            points: scan.points.len() as u64 + scan.dropped.total(),
+            dropped: scan.dropped,
+            ..Sums::default()
+        };
+        let report = ScanReport {
+            name: scan.name,
+            sums,
+            updated_blocks: 0,
+        };
+        self.under_way.push_back((index, report));
+        if let Some(bytes) = self.backend.over_limit() {
+            observer.on(Event::OverLimit { bytes });
+        }
+        self.settle(settled, observer)
+    }
+
+    /// As methods do that are told of no sensor: so a run that goes on knows the same one.
+    fn guess_sensor(&mut self, sensor: usize, scan: &Scan) {
+        if let Some(model @ None) = self.checkpoint.sensors.get_mut(sensor)
+            && self.setup.store.is_some()
+            && self.backend.needs_sensor()
+        {
+            *model = tsdfuse::sensor::guess(&scan.points, scan.rings.as_deref());
+        }
+    }
+
+    /// Completes the reports of the oldest scans that are under way.
+    fn settle(&mut self, settled: Vec<Settled>, observer: &mut dyn Observer) -> Result<()> {
+        for done in settled {
+            let Some((index, mut report)) = self.under_way.pop_front() else { continue };
+            report.sums.fused = done.fused;
+            report.sums.skipped = done.skipped;
+            report.sums.prepare += done.prepare_secs;
+            report.sums.fuse -= done.prepare_secs;
+            report.sums.find = done.find_secs;
+            report.updated_blocks = done.updated_blocks.len();
+            observer.on(Event::ScanFused {
+                index,
+                report: &report,
+                blocks: &done.updated_blocks,
+            });
+            self.checkpoint.fused += 1;
+            self.checkpoint.sums += &report.sums;
+            self.scans.push(report);
+            if let Some(every) = self.setup.follow_every {
+                self.unfollowed.extend(done.updated_blocks);
+                if self.scans.len().is_multiple_of(every.max(1)) {
+                    self.tell_changes(observer)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits until all scans are in the map, and commits them.
+    fn settle_all(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        match self.backend.wait() {
+            Ok(settled) => self.settle(settled, observer)?,
+            Err(RunError::Full(reason)) => self.lose_under_way(&reason, observer),
+            Err(error) => return Err(error),
+        }
+        self.commit(observer)
+    }
+
+    /// The device is full: it has the scans that are settled, and takes no more.
+    fn fill_up(&mut self, index: usize, name: String, reason: String, observer: &mut dyn Observer) {
+        self.reading = None;
+        self.lose_under_way(&reason, observer);
+        self.skip(index, SkippedScan { name, reason }, observer);
+    }
+
+    fn lose_under_way(&mut self, reason: &str, observer: &mut dyn Observer) {
+        for (index, report) in std::mem::take(&mut self.under_way) {
+            let (name, reason) = (report.name, reason.to_owned());
+            self.skip(index, SkippedScan { name, reason }, observer);
+        }
+        self.full = Some(reason.to_owned());
+    }
+
+    fn skip(&mut self, index: usize, skipped: SkippedScan, observer: &mut dyn Observer) {
+        observer.on(Event::ScanSkipped {
+            index,
+            skipped: &skipped,
+        });
+        self.checkpoint.skipped.push(skipped);
+    }
+
+    fn tell_changes(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        let updated = std::mem::take(&mut self.unfollowed);
+        self.backend.follow(&updated, &mut self.changes)?;
+        observer.on(Event::SurfaceChanged(&self.changes));
+        Ok(())
+    }
+
+    /// Writes all that changed to the store, if there is one: from now on no crash takes it away.
+    ///
+    /// # Errors
+    /// If the store cannot be written; it then holds what was committed before.
+    pub fn commit(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        if self.backend.commit(&self.checkpoint.bytes())? && let Some(path) = &self.setup.store {
+            observer.on(Event::MapStored {
+                path,
+                done: self.checkpoint.done,
+                asked: self.checkpoint.asked,
+            });
+        }
+        Ok(())
+    }
+
+    /// Whether anything was fused.
+    fn check(&self) -> Result<()> {
+        let (name, sums) = (&self.name, &self.checkpoint.sums);
+        if self.checkpoint.fused == 0 {
+            return Err(RunError::Nothing(match &self.full {
+                Some(reason) => reason.clone(),
+                None => format!("{name}: none of its scans could be fused"),
+            }));
+        }
+        if sums.fused == 0 {
+            return Err(RunError::Nothing(format!(
+                "{name}: none of {} points could be fused{}",
+                sums.points,
+                sums.left_out()
+            )));
+        }
+        Ok(())
+    }
+
+    /// With what the scans are fused.
+    pub fn config(&self) -> &RunConfig {
+        &self.setup.config
+    }
+
+    /// Why the map does not hold all scans: the device or the memory is full.
+    pub fn full(&self) -> Option<&str> {
+        self.full.as_deref()
+    }
+
+    /// The scans that were fused by this session.
+    pub fn scans(&self) -> &[ScanReport] {
+        &self.scans
+    }
+
+    /// The scans that were skipped, those before a break included.
+    pub fn skipped(&self) -> &[SkippedScan] {
+        &self.checkpoint.skipped
+    }
+
+    /// Sums over all scans, those before a break included.
+    pub fn totals(&self) -> Totals {
+        Totals {
+            scans: self.checkpoint.fused,
+            sums: self.checkpoint.sums,
+            finish: self.finish,
+            seconds: self.seconds,
+        }
+    }
+
+    /// Whether the session was stopped before the last scan.
+    pub fn was_stopped(&self) -> bool {
+        self.stopped
+    }
+
+    /// The GPU that fuses, if one does.
+    pub fn device(&self) -> Option<String> {
+        self.backend.device()
+    }
+
+    /// The saved map that is continued.
+    pub fn loaded_map(&self) -> Option<&LoadedMap> {
+        self.loaded.as_ref()
+    }
+
+    /// The map, if all of it is in memory.
+    pub fn map(&self) -> Option<&VoxelMap> {
+        self.backend.map()
+    }
+
+    /// How much the map holds; of a store, as of the last commit.
+    pub fn map_report(&self) -> MapReport {
+        self.backend.report()
+    }
+
+    /// What was done for a map that is not all in memory.
+    pub fn paging(&self) -> Option<PagingReport> {
+        self.backend.paging()
+    }
+
+    /// The surface of the scans so far.
+    ///
+    /// # Errors
+    /// [`RunError::Config`] for a map that is not all in memory: use [`Self::write_surface`].
+    pub fn mesh(&mut self) -> Result<Mesh> {
+        self.backend.mesh(&self.setup.config.mesh)
+    }
+
+    /// Extracts the surface of the scans so far, which must not be empty, and writes it as `.ply`, `.glb`, `.obj` or
+    /// `NAME/tileset.json`.
+    ///
+    /// # Errors
+    /// [`RunError::Nothing`] if there is none; if the file cannot be written.
+    pub fn write_surface(&mut self, path: &Path) -> Result<MeshReport> {
+        self.backend.write_surface(&self.setup.config.mesh, path)
+    }
+
+    /// Saves the map of the scans so far.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn save_map(&mut self, path: &Path) -> Result<SavedMap> {
+        self.backend.save(path)
+    }
+
+    /// Writes a picture of the whole map.
+    ///
+    /// # Errors
+    /// [`RunError::Nothing`] for a map without surface; if the file cannot be written.
+    pub fn write_preview(&mut self, path: &Path) -> Result<ViewReport> {
+        let mut report = None;
+        let mut look = |see: view::See<'_>| {
+            report = Some(view::preview(see, path)?);
+            Ok(())
+        };
+        self.backend.viewer(self.setup.config.mesh.min_weight, &mut look)?;
+        report.ok_or_else(|| RunError::Nothing("the map has no surface".to_owned()))
+    }
+}
+

@@ -1,0 +1,176 @@
+//! Surfaces as files: meshes, and 3D Tiles.
+
+use std::path::Path;
+use std::time::Instant;
+
+use tsdfuse::glam::{DVec3, Vec3};
+use tsdfuse::mesh::{Mesh, MeshConfig, extract_with};
+use tsdfuse::VoxelMap;
+use tsdfuse_io::ply;
+use tsdfuse_store::{PagedMap, Sink};
+
+use crate::error::{Result, RunError};
+use crate::report::MeshReport;
+
+/// Whether a surface is to be written as 3D Tiles: `NAME/tileset.json`.
+pub fn is_tileset(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"))
+}
+
+/// Whether a surface can be written to such a file: `.ply`, `.glb`, `.obj`, `NAME/tileset.json`, or `-` for standard output.
+///
+/// # Errors
+/// [`RunError::Config`] names what is possible.
+pub fn check(path: &Path) -> Result<()> {
+    if is_tileset(path) {
+        return tiles::check(path);
+    }
+    if path.as_os_str() == "-" {
+        return Ok(());
+    }
+    tsdfuse_io::mesh::check(path).map_err(RunError::config)
+}
+
+/// Whether [`write_in_parts`] can write to such a file.
+///
+/// # Errors
+/// [`RunError::Config`] names what is possible.
+pub fn check_in_parts(path: &Path) -> Result<()> {
+    let is_ply = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"));
+    if is_ply || is_tileset(path) {
+        return check(path);
+    }
+    Err(RunError::config(
+        "a mesh that comes in parts is written as a .ply file or as NAME/tileset.json",
+    ))
+}
+
+/// Extracts the surface of a map, which must not be empty, and writes it.
+///
+/// # Errors
+/// [`RunError::Nothing`] for a map without surface; if the file cannot be written.
+pub fn write(map: &VoxelMap, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
+    if is_tileset(path) {
+        return tiles::write(path, &mut tsdfuse::mesh::Surface::of(map, config));
+    }
+    write_by(|| Ok(extract_with(map, config)?), map.block_count(), config, path)
+}
+
+/// As [`write`] for one mesh file, where something else extracts the mesh of a map of so many blocks.
+pub(crate) fn write_by(
+    extract: impl FnOnce() -> Result<Mesh>,
+    blocks: usize,
+    config: &MeshConfig,
+    path: &Path,
+) -> Result<MeshReport> {
+    let start = Instant::now();
+    let mesh = extract()?;
+    if mesh.triangles.is_empty() {
+        return Err(RunError::Nothing(format!(
+            "the map has no surface: {blocks} blocks of voxels, but no triangle at a weight of {} or more",
+            config.min_weight
+        )));
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    tsdfuse_io::mesh::write(path, &mesh)?;
+    Ok(MeshReport {
+        path: path.to_owned(),
+        vertices: mesh.vertices.len(),
+        triangles: mesh.triangles.len(),
+        seconds,
+        write_seconds: start.elapsed().as_secs_f64() - seconds,
+        tiles: None,
+    })
+}
+
+/// Extracts the surface of a paged map, which must not be empty, and writes it. The triangles are those of [`write`], in
+/// another order.
+///
+/// # Errors
+/// As [`write`]; if the store cannot be read.
+pub fn write_in_parts(map: &mut PagedMap, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
+    if is_tileset(path) {
+        return tiles::write(path, &mut map.surface(config));
+    }
+    let start = Instant::now();
+    let mut out = Parts(ply::Stream::new(path)?);
+    map.mesh(config, &mut out)?;
+    let (vertices, triangles) = out.0.counts();
+    if triangles == 0 {
+        return Err(RunError::Nothing(format!(
+            "the map has no surface: no triangle at a weight of {} or more",
+            config.min_weight
+        )));
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    out.0.finish()?;
+    Ok(MeshReport {
+        path: path.to_owned(),
+        vertices: vertices as usize,
+        triangles: triangles as usize,
+        seconds,
+        write_seconds: start.elapsed().as_secs_f64() - seconds,
+        tiles: None,
+    })
+}
+
+/// A PLY file that takes a mesh in parts.
+struct Parts(ply::Stream);
+
+impl Sink for Parts {
+    fn vertices(&mut self, positions: &[DVec3], normals: &[Vec3]) -> std::io::Result<()> {
+        self.0.vertices(positions, normals)
+    }
+
+    fn triangles(&mut self, triangles: &[[u32; 3]]) -> std::io::Result<()> {
+        self.0.triangles(triangles)
+    }
+}
+
+#[cfg(feature = "tiles")]
+mod tiles {
+    use std::path::Path;
+    use std::time::Instant;
+
+    use crate::error::{Result, RunError};
+    use crate::report::{MeshReport, TilesReport};
+
+    pub(super) fn check(path: &Path) -> Result<()> {
+        tsdfuse_tiles::check(path).map_err(RunError::config)
+    }
+
+    pub(super) fn write(path: &Path, surface: &mut tsdfuse::mesh::Surface<'_>) -> Result<MeshReport> {
+        let start = Instant::now();
+        let written = tsdfuse_tiles::write(path, surface)?;
+        Ok(MeshReport {
+            path: path.to_owned(),
+            vertices: written.vertices,
+            triangles: written.triangles,
+            seconds: start.elapsed().as_secs_f64(),
+            write_seconds: 0.0,
+            tiles: Some(TilesReport {
+                tiles: written.tiles,
+                levels: written.levels,
+                bytes: written.bytes,
+            }),
+        })
+    }
+}
+
+#[cfg(not(feature = "tiles"))]
+mod tiles {
+    use std::path::Path;
+
+    use crate::error::{Result, RunError};
+    use crate::report::MeshReport;
+
+    pub(super) fn check(path: &Path) -> Result<()> {
+        let told = "this build writes no 3D Tiles: it was made without the feature tiles";
+        Err(RunError::config(format_args!("{}: {told}", path.display())))
+    }
+
+    pub(super) fn write<S>(path: &Path, _: S) -> Result<MeshReport> {
+        check(path)?;
+        Ok(MeshReport::default())
+    }
+}
