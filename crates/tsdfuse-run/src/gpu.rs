@@ -10,8 +10,7 @@ use tsdfuse::{Scan, SensorModel, VoxelMap};
 use tsdfuse_gpu::{DeviceMap, Fused, Fuser, Gpu, GpuError, Mesher, PoolConfig, Renderer};
 use tsdfuse_io::map_file;
 
-use super::memory::follow;
-use super::{Backend, Failed, Settled};
+use crate::backend::{Backend, Failed, Settled, follow};
 use crate::config::RunConfig;
 use crate::error::{Result, RunError};
 use crate::report::{MapReport, MeshReport, SavedMap};
@@ -92,10 +91,10 @@ fn settled(done: Vec<Fused>) -> Vec<Settled> {
 }
 
 fn failed(error: GpuError) -> RunError {
-    match error.is_full() {
-        true => RunError::Full(error.to_string()),
-        false => error.into(),
+    if error.is_full() {
+        return RunError::Full(error.to_string());
     }
+    error.into()
 }
 
 impl Backend for OnGpu {
@@ -152,8 +151,8 @@ impl Backend for OnGpu {
         if surface::is_tileset(path) {
             return surface::write(&self.fuser.map().download()?, config, path);
         }
-        let blocks = self.fuser.map().block_count();
-        surface::write_by(|| self.mesh(config), blocks, config, path)
+        let blocks = self.fuser.map().block_count()? as usize;
+        surface::write_mesh(|| self.mesh(config), blocks, config, path)
     }
 
     fn save(&mut self, path: &Path) -> Result<SavedMap> {

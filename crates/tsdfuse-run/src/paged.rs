@@ -8,15 +8,15 @@ use tsdfuse::glam::IVec3;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
 use tsdfuse::{Pose, Reach, Scan, SensorModel, VoxelMap};
-use tsdfuse_io::map_file::{Reader, Writer};
+use tsdfuse_io::map_file::Reader;
 use tsdfuse_store::{PagedError, PagedMap, StoreError};
 
-use super::{Backend, Failed, Integrators, Settled};
+use crate::backend::{Backend, Failed, Integrators, Settled};
 use crate::checkpoint::Checkpoint;
 use crate::error::{Result, RunError};
 use crate::event::{Event, Observer};
 use crate::report::{MapReport, MeshReport, PagingReport, SavedMap};
-use crate::session::Setup;
+use crate::setup::Setup;
 use crate::surface;
 use crate::view::See;
 
@@ -163,7 +163,7 @@ impl Backend for Paged {
     }
 
     fn save(&mut self, path: &Path) -> Result<SavedMap> {
-        save(&mut self.map, path)
+        surface::save_in_parts(&mut self.map, path)
     }
 
     fn viewer(&mut self, _: f32, _: &mut dyn FnMut(See<'_>) -> Result<()>) -> Result<()> {
@@ -211,45 +211,16 @@ fn around(BlockIndex(block): BlockIndex, far: i32) -> impl Iterator<Item = Block
     })
 }
 
-/// Saves a map that is not all in memory.
-///
-/// # Errors
-/// If the store cannot be read, or the file cannot be written.
-pub(crate) fn save(map: &mut PagedMap, path: &Path) -> Result<SavedMap> {
-    let start = Instant::now();
-    let mut failed: Option<RunError> = None;
-    let written = tsdfuse_io::atomic::write(path, |out| {
-        let mut writer = Writer::new(out, map.config(), map.integrations())?;
-        let saved = map.for_each_region(|map, region| {
-            let mut blocks = map.blocks_of(region);
-            Ok(blocks.try_for_each(|(index, block)| writer.block(index, block))?)
-        });
-        saved.map_err(|error: StoreError| match error {
-            StoreError::Sink(error) => error,
-            error => {
-                failed = Some(error.into());
-                std::io::Error::other("the store cannot be read")
-            }
-        })?;
-        writer.finish().map(drop)
-    });
-    match (written, failed) {
-        (Ok(()), _) => Ok(SavedMap::written(path, start)),
-        (Err(_), Some(error)) => Err(error),
-        (Err(error), None) => Err(error.into()),
-    }
-}
-
 /// How a temporary store's name ends.
 const ENDING: &str = ".store";
 
 /// Where this process has its temporary store, beside a result or in a folder.
 fn temporary_store(beside: &Path) -> PathBuf {
     let hidden = |name: &str| format!(".{name}.{}{ENDING}", std::process::id());
-    match beside.is_dir() {
-        true => beside.join(hidden("tsdfuse")),
-        false => beside.with_file_name(hidden(&beside.file_name().unwrap_or_default().to_string_lossy())),
+    if beside.is_dir() {
+        return beside.join(hidden("tsdfuse"));
     }
+    beside.with_file_name(hidden(&beside.file_name().unwrap_or_default().to_string_lossy()))
 }
 
 /// Removes what runs that were killed left in the same folder: temporary stores that no process has open.

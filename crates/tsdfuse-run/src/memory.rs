@@ -8,7 +8,7 @@ use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, extract_with};
 use tsdfuse::{Scan, VoxelMap};
 use tsdfuse_io::map_file;
 
-use super::{Backend, Failed, Integrators, Settled};
+use crate::backend::{Backend, Failed, Integrators, Settled, follow};
 use crate::error::Result;
 use crate::report::{MapReport, MeshReport, SavedMap};
 use crate::surface;
@@ -31,23 +31,6 @@ impl InMemory {
             config,
         }
     }
-}
-
-/// The pieces of a map's surface that changed.
-pub(super) fn follow(
-    surface: &mut Option<Incremental>,
-    config: &MeshConfig,
-    map: &VoxelMap,
-    updated: &[BlockIndex],
-    changes: &mut Changes,
-) {
-    let surface = surface.get_or_insert_with(|| {
-        let mut surface = Incremental::new(config);
-        surface.note(&map.block_indices());
-        surface
-    });
-    surface.note(updated);
-    surface.changes(map, changes);
 }
 
 impl Backend for InMemory {
