@@ -263,6 +263,22 @@ pub(crate) fn read(path: &Path) -> Result<VoxelMap> {
     Ok(map_file::read(path)?)
 }
 
+/// Reads a saved map, or all of a store.
+pub(crate) fn read_any(path: &Path) -> Result<VoxelMap> {
+    if !tsdfuse_store::recognises(path) {
+        return read(path);
+    }
+    let mut store = open_store(path)?;
+    let mut whole = VoxelMap::new(*store.config())?;
+    store.for_each_region(|map, region| {
+        for (index, block) in map.blocks_of(region) {
+            whole.insert_block(index, block.clone())?;
+        }
+        anyhow::Ok(())
+    })?;
+    Ok(whole)
+}
+
 /// The first map, with the blocks of the others added as they are read.
 fn merge(paths: &[PathBuf]) -> Result<Made> {
     let (first, others) = paths.split_first().context("maps are wanted")?;

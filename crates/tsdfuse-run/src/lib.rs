@@ -53,3 +53,8 @@ pub use run::Resumed;
 pub use session::Session;
 pub use settings::Settings;
 pub use setup::Setup;
+
+/// The examples of the README, compiled.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
