@@ -6,8 +6,8 @@ use glam::{DMat3, DVec2, DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::{
-    index::{Grid, RegionIndex},
-    map::{MapConfig, REGION_SHIFT},
+    index::{Grid, REGION_SHIFT, RegionIndex},
+    map::MapConfig,
     scan::{Scan, ScanError},
     sensor::approx::atan2_f32,
 };

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use super::{
     FuseError, Integration, Integrator, Skipped,
-    beams::Beams,
+    beams::{Beams, rings_of},
     centers::{Centers, depths_at},
     depth::world_axes,
     gather::{Gather, Near, ROW, Skip, Updates},
@@ -30,7 +30,7 @@ use crate::{
     map::{MapConfig, VoxelMap},
     reach::Reach,
     scan::Scan,
-    sensor::{Cylindrical, CylindricalPoint, PART, SensorModel, approx::sin_cos, rings_of},
+    sensor::{Cylindrical, CylindricalPoint, PART, SensorModel, approx::sin_cos},
 };
 
 /// The integrator of dense cylindrical depth images.

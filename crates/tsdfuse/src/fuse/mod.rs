@@ -27,7 +27,7 @@ mod surfel;
 #[doc(hidden)]
 pub mod twin;
 
-pub use beams::Beams;
+pub use beams::{Beams, rings_of};
 pub use caminal::{Caminal, CaminalConfig};
 pub use cylindrical::Cylindrical;
 pub use depth::Depth;

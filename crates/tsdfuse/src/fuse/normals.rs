@@ -13,7 +13,7 @@ use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
 
 use super::{
     FuseError, Integration, Integrator,
-    beams::Beams,
+    beams::{Beams, rings_of},
     cylinder::{Row, VOXEL_RADIUS},
     gather::Skip,
     lines::{Line, Lines, Rule, Shape},
@@ -25,7 +25,7 @@ use crate::{
     normals::{Normal, NormalsConfig, estimate},
     reach::Reach,
     scan::Scan,
-    sensor::{ScanImage, SensorModel, approx::acos_f32, rings_of},
+    sensor::{ScanImage, SensorModel, approx::acos_f32},
 };
 
 /// The integrator along local surface normals.
