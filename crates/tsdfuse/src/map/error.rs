@@ -70,6 +70,12 @@ pub enum MapError {
         /// The upper one.
         high: DVec3,
     },
+    /// Arrays have an end.
+    #[error("a box of {voxels} voxels is too large for arrays; take it in parts")]
+    Dense {
+        /// How many it has.
+        voxels: u128,
+    },
 }
 
 /// Checks that a block lies within the grid, and that observations can sum up to its voxels.

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)] // test helpers
 
 mod crop;
+mod query;
 mod reach;
 mod region;
 mod warp;
