@@ -28,6 +28,7 @@ use super::{
 use crate::{
     index::{Anchor, BLOCK_EDGE, BlockIndex},
     map::{MapConfig, VoxelMap},
+    reach::Reach,
     scan::Scan,
     sensor::{Cylindrical, CylindricalPoint, PART, SensorModel, approx::sin_cos, rings_of},
 };
@@ -108,6 +109,14 @@ impl Integrator for Kuehner {
         done.prepare_secs = prepare_secs;
         (self.depths_m, self.rings) = (image.depths_m, image.rings);
         Ok(done)
+    }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        Ok(Reach::of(map, scan)?)
+    }
+
+    fn needs_sensor(&self) -> bool {
+        true
     }
 }
 

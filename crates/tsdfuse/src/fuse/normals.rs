@@ -20,9 +20,10 @@ use super::{
     placed::Placed,
 };
 use crate::{
-    map::VoxelMap,
+    map::{MapConfig, VoxelMap},
     memory::prefetch,
     normals::{Normal, NormalsConfig, estimate},
+    reach::Reach,
     scan::Scan,
     sensor::{ScanImage, SensorModel, approx::acos_f32, rings_of},
 };
@@ -110,6 +111,14 @@ impl Integrator for Normals {
             prepare_secs,
             ..integration
         })
+    }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        Ok(Reach::of(map, scan)?)
+    }
+
+    fn needs_sensor(&self) -> bool {
+        true
     }
 }
 
