@@ -4,6 +4,9 @@ use std::fmt::{self, Display};
 use std::io;
 use std::process::ExitCode;
 
+use anyhow::Result;
+use tsdfuse_run::{RunError, Stop};
+
 use crate::progress::say;
 
 /// What the exit codes mean, for `--help`.
@@ -16,7 +19,7 @@ configuration is wrong, 3 the result is there but lacks what was named: scans th
 pub(crate) enum Outcome {
     /// Nothing is missing.
     Complete,
-    /// Some scans could not be used; they were named.
+    /// Some scans are not in the result: they could not be used and were named, or the run was stopped.
     ScansSkipped,
     /// Some blocks of a damaged map could not be recovered; what was damaged was named.
     BlocksLost,
@@ -50,8 +53,32 @@ pub(crate) fn code(result: anyhow::Result<Outcome>) -> ExitCode {
         Err(error) if is_broken_pipe(&error) => ExitCode::from(1),
         Err(error) => {
             say(format_args!("tsdfuse: error: {}", one_line(&error)));
-            ExitCode::from(if error.is::<Usage>() { 2 } else { 1 })
+            let is_usage = error.is::<Usage>() || matches!(error.downcast_ref(), Some(RunError::Config(_)));
+            ExitCode::from(if is_usage { 2 } else { 1 })
         }
+    }
+}
+
+/// What Ctrl-C stops, between two scans; a second one ends the program at once.
+pub(crate) fn stop_on_interrupt() -> Result<Stop> {
+    let stop = Stop::default();
+    #[cfg(unix)]
+    {
+        use signal_hook::consts::{SIGINT, SIGTERM};
+        for signal in [SIGINT, SIGTERM] {
+            signal_hook::flag::register_conditional_shutdown(signal, 130, stop.flag())?;
+            signal_hook::flag::register(signal, stop.flag())?;
+        }
+    }
+    Ok(stop)
+}
+
+/// Lets a file that must not grow any more be an error of writing, instead of the end of the program.
+pub(crate) fn ignore_file_size_signal() {
+    #[cfg(unix)]
+    {
+        // If the system refuses, the program ends as it did before.
+        let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Stop::default().flag());
     }
 }
 
@@ -82,9 +109,10 @@ pub(crate) fn one_line(error: &anyhow::Error) -> String {
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
     let is = |error: &io::Error| error.kind() == io::ErrorKind::BrokenPipe;
-    error.chain().any(|cause| match cause.downcast_ref() {
-        Some(tsdfuse_io::Error::Io { reason, .. }) => is(reason),
-        _ => cause.downcast_ref().is_some_and(is),
+    let of_io = |error: &tsdfuse_io::Error| matches!(error, tsdfuse_io::Error::Io { reason, .. } if is(reason));
+    error.chain().any(|cause| {
+        let by_run = matches!(cause.downcast_ref(), Some(RunError::Io(error)) if of_io(error));
+        by_run || cause.downcast_ref().is_some_and(of_io) || cause.downcast_ref().is_some_and(is)
     })
 }
 

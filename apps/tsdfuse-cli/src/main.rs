@@ -1,24 +1,21 @@
 //! The `tsdfuse` command: LiDAR log in, surface out. It translates; the work is done by the libraries.
 
+mod args;
 mod bench;
-mod config;
-mod device;
 mod eval;
 mod evaluate;
 mod exit;
 mod fuse;
 mod info;
-mod machine;
 mod map;
 mod mesh;
 mod output;
 mod progress;
 mod render;
-mod report;
-mod settings;
+mod resume;
+mod run_job;
 mod simulate;
-#[cfg_attr(not(feature = "tiles"), path = "tiles/no_tiles.rs")]
-mod tiles;
+mod terminal;
 
 use std::process::ExitCode;
 
@@ -37,16 +34,19 @@ enum Command {
     Fuse(Box<fuse::Args>),
     Map(map::Args),
     Mesh(mesh::Args),
-    Resume(fuse::ResumeArgs),
+    Resume(resume::Args),
     Render(Box<render::Args>),
     Simulate(simulate::Args),
     Info(info::Args),
     Eval(eval::Args),
     Evaluate(Box<evaluate::Args>),
     Bench(Box<bench::Args>),
+    #[command(hide = true)]
+    RunJob,
 }
 
 fn main() -> ExitCode {
+    exit::ignore_file_size_signal();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => return exit::not_parsed(&error),
@@ -55,12 +55,13 @@ fn main() -> ExitCode {
         Command::Fuse(args) => fuse::run(args),
         Command::Map(args) => map::run(args),
         Command::Mesh(args) => mesh::run(args),
-        Command::Resume(args) => fuse::resume(args),
+        Command::Resume(args) => resume::run(args),
         Command::Render(args) => render::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::RunJob => run_job::run(),
     })
 }

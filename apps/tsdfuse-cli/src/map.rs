@@ -1,10 +1,11 @@
 //! `tsdfuse map`: saved maps in, a saved map out.
 
 mod export;
-#[cfg_attr(not(feature = "zarr"), path = "map/no_zarr.rs")]
+#[cfg(feature = "zarr")]
 mod zarr;
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::Subcommand;
@@ -13,11 +14,15 @@ use serde::Serialize;
 use tsdfuse::{Pose, VoxelMap};
 use tsdfuse_io::map_file::{self, Damage, Reader};
 
+use tsdfuse_run::check_outputs;
+use tsdfuse_run::report::{MapReport, SavedMap};
+use tsdfuse_store::PagedMap;
+
+use crate::args::parse_triple;
 use crate::exit::{Outcome, Usage};
-use crate::output::check_file;
+use crate::output::print_json;
 use crate::progress::{note, say, working};
-use crate::report::{MapReport, SavedMap, print_json};
-use crate::simulate::parse_triple;
+use crate::terminal;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -152,20 +157,22 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
         Command::Export(export) => return export.run(),
     };
     let out = operation.out();
-    check_file(&out.output)?;
+    check_outputs(&operation.inputs(), &[&out.output])?;
     let spinner = working("working on the map");
     let made = operation.run()?;
+    let start = Instant::now();
+    map_file::write(&out.output, &made.map)?;
     drop(spinner);
     let done = Done {
         map: MapReport::of(&made.map),
-        saved_map: SavedMap::write(&made.map, &out.output)?,
+        saved_map: SavedMap::written(&out.output, start),
         limited_voxels: made.limited_voxels,
         exact: made.exact,
         damage: made.damage,
     };
     let lost = done.say();
-    done.map.summarize(None);
-    done.saved_map.say_where();
+    terminal::map(&done.map, None);
+    terminal::saved_map(&done.saved_map);
     if out.json {
         print_json(&done)?;
     }
@@ -181,6 +188,17 @@ impl Operation {
             | Self::Resample { out, .. }
             | Self::Transform { out, .. }
             | Self::Repair { out, .. } => out,
+        }
+    }
+
+    /// The maps that are read.
+    fn inputs(&self) -> Vec<&Path> {
+        match self {
+            Self::Merge { maps, .. } => maps.iter().map(PathBuf::as_path).collect(),
+            Self::Crop { map, .. }
+            | Self::Resample { map, .. }
+            | Self::Transform { map, .. }
+            | Self::Repair { map, .. } => vec![map],
         }
     }
 
@@ -226,6 +244,15 @@ impl Operation {
     }
 }
 
+/// Blocks of a store that are in memory while it is meshed or exported.
+const STORE_BYTES: usize = 256 << 20;
+
+/// Opens a store to look at it; nothing is loaded yet.
+pub(crate) fn open_store(path: &Path) -> Result<PagedMap> {
+    let (map, _) = PagedMap::open_read_only(path, Some(STORE_BYTES))?;
+    Ok(map)
+}
+
 /// Reads a saved map.
 pub(crate) fn read(path: &Path) -> Result<VoxelMap> {
     if tsdfuse_store::recognises(path) {
@@ -234,6 +261,22 @@ pub(crate) fn read(path: &Path) -> Result<VoxelMap> {
         return Err(Usage::new(how).into());
     }
     Ok(map_file::read(path)?)
+}
+
+/// Reads a saved map, or all of a store.
+pub(crate) fn read_any(path: &Path) -> Result<VoxelMap> {
+    if !tsdfuse_store::recognises(path) {
+        return read(path);
+    }
+    let mut store = open_store(path)?;
+    let mut whole = VoxelMap::new(*store.config())?;
+    store.for_each_region(|map, region| {
+        for (index, block) in map.blocks_of(region) {
+            whole.insert_block(index, block.clone())?;
+        }
+        anyhow::Ok(())
+    })?;
+    Ok(whole)
 }
 
 /// The first map, with the blocks of the others added as they are read.

@@ -1,34 +1,18 @@
 //! `tsdfuse mesh`: a saved map in, a mesh out.
 
-mod parts;
-
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use serde::Serialize;
-use tsdfuse::mesh::{MeshConfig, extract_with};
-use tsdfuse::{Mesh, VoxelMap};
-use tsdfuse_store::{Options, Pager, Surface};
+use tsdfuse::mesh::MeshConfig;
+use tsdfuse_run::report::{MapReport, MeshReport};
+use tsdfuse_run::{Device, check_outputs, surface};
 
-use crate::device::Device;
 use crate::exit::{Outcome, Usage};
-use crate::output::{self, is_tileset};
-use crate::progress;
-use crate::report::{MapReport, MeshReport, print_json};
-use crate::tiles;
-
-pub(crate) use parts::{check_in_parts, surface_in_parts};
-
-/// Blocks of a store that are in memory while it is meshed or exported.
-const STORE_BYTES: usize = 256 << 20;
-
-/// Opens a store, of which nothing is read yet.
-pub(crate) fn open_store(path: &Path) -> Result<(VoxelMap, Pager)> {
-    let limit_bytes = STORE_BYTES;
-    let (map, pager, _) = Pager::open(path, Options { limit_bytes })?;
-    Ok((map, pager))
-}
+use crate::map::open_store;
+use crate::output::{self, print_json};
+use crate::{progress, terminal};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -73,14 +57,17 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         min_weight: args.min_weight,
     };
     config.validate().map_err(Usage::new)?;
-    output::check_mesh(&args.output, args.json)?;
-    let done = match tsdfuse_store::recognises(&args.map) {
-        true => args.of_store(config)?,
-        false => args.of_map(config)?,
+    output::check_terminal(&args.output, args.json)?;
+    surface::check(&args.output)?;
+    check_outputs(&[&args.map], &[&args.output])?;
+    let done = if tsdfuse_store::recognises(&args.map) {
+        args.of_store(config)?
+    } else {
+        args.of_map(config)?
     };
-    done.map.summarize(None);
-    done.mesh.summarize();
-    done.mesh.say_where();
+    terminal::map(&done.map, None);
+    terminal::mesh(&done.mesh);
+    terminal::mesh_file(&done.mesh);
     if args.json {
         print_json(&done)?;
     }
@@ -91,12 +78,14 @@ impl Args {
     fn of_map(&self, config: MeshConfig) -> Result<Done> {
         let start = Instant::now();
         let map = tsdfuse_io::map_file::read(&self.map)?;
+        let read_seconds = start.elapsed().as_secs_f64();
+        let _spinner = progress::working("extracting the surface");
         Ok(Done {
             path: self.map.clone(),
-            read_seconds: start.elapsed().as_secs_f64(),
+            read_seconds,
             map: MapReport::of(&map),
             config,
-            mesh: surface_by(|| self.device.mesh(&map, &config), &map, &config, &self.output)?,
+            mesh: surface::write_by(|| self.device.mesh(&map, &config), &map, &config, &self.output)?,
         })
     }
 
@@ -105,48 +94,16 @@ impl Args {
         if self.device != Device::Cpu {
             return Err(Usage::new("a store is meshed by the CPU: leave out --device").into());
         }
-        check_in_parts(&self.output).map_err(Usage::new)?;
-        let (mut map, mut pager) = open_store(&self.map)?;
-        let mesh = surface_in_parts(&mut map, &mut pager, &config, &self.output)?;
+        surface::check_in_parts(&self.output)?;
+        let mut map = open_store(&self.map)?;
+        let _spinner = progress::working("extracting the surface");
+        let mesh = surface::write_in_parts(&mut map, &config, &self.output)?;
         Ok(Done {
             path: self.map.clone(),
             read_seconds: 0.0,
-            map: MapReport::of_store(&pager, &map),
+            map: MapReport::of_paged(&map),
             config,
             mesh,
         })
     }
-}
-
-/// Extracts the mesh, which must not be empty, and writes it.
-pub(crate) fn surface(map: &VoxelMap, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
-    surface_by(|| Ok(extract_with(map, config)?), map, config, path)
-}
-
-/// As [`surface`], where something else extracts the map's mesh.
-pub(crate) fn surface_by(
-    extract: impl FnOnce() -> Result<Mesh>,
-    map: &VoxelMap,
-    config: &MeshConfig,
-    path: &Path,
-) -> Result<MeshReport> {
-    if is_tileset(path) {
-        return tiles::write(path, &mut Surface::whole(map, config));
-    }
-    let start = Instant::now();
-    let spinner = progress::working("extracting the surface");
-    let mesh = extract()?;
-    drop(spinner);
-    if mesh.triangles.is_empty() {
-        bail!(
-            "the map has no surface: {} blocks of voxels, but no triangle at a weight of {} or more",
-            map.block_count(),
-            config.min_weight
-        );
-    }
-    let mut report = MeshReport::of(&mesh, path, start.elapsed().as_secs_f64());
-    let writing = Instant::now();
-    tsdfuse_io::mesh::write(path, &mesh)?;
-    report.write_seconds = writing.elapsed().as_secs_f64();
-    Ok(report)
 }

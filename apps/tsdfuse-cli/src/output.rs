@@ -1,47 +1,38 @@
-//! Finding out before the work, not after it, that its results could not be written.
+//! What goes to standard output, for other programs.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::path::Path;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result};
+use serde::Serialize;
 
 use crate::exit::Usage;
-use crate::tiles;
 
-/// Whether a mesh is to be written as 3D Tiles.
-pub(crate) fn is_tileset(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"))
+/// The arguments as they were given, the program's name first.
+pub(crate) fn command_line() -> Vec<String> {
+    std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect()
 }
 
-/// Checks where a mesh is to go; `json` goes to standard output.
-pub(crate) fn check_mesh(path: &Path, json: bool) -> Result<()> {
-    if is_tileset(path) {
-        return tiles::check(path);
-    }
-    if path.as_os_str() != "-" {
-        tsdfuse_io::mesh::check(path).map_err(Usage::new)?;
-        return check_file(path);
+/// Checks that a mesh for standard output (`-`) does not meet a report or a terminal there.
+pub(crate) fn check_terminal(mesh: &Path, json: bool) -> Result<(), Usage> {
+    if mesh.as_os_str() != "-" {
+        return Ok(());
     }
     if json {
-        return Err(Usage::new("--output - and --json cannot both have standard output").into());
+        return Err(Usage::new("--output - and --json cannot both have standard output"));
     }
     if std::io::stdout().is_terminal() {
-        return Err(Usage::new("--output - would write a binary file to the terminal").into());
+        return Err(Usage::new("--output - would write a binary file to the terminal"));
     }
     Ok(())
 }
 
-/// Checks that a file can be made.
-pub(crate) fn check_file(path: &Path) -> Result<()> {
-    let folder = path
-        .parent()
-        .filter(|p| !p.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
-    if !folder.is_dir() {
-        bail!("{}: there is no folder {}", path.display(), folder.display());
-    }
-    if path.is_dir() {
-        bail!("{}: is a folder, not a file to write", path.display());
-    }
-    Ok(())
+/// Prints a value as JSON on standard output.
+pub(crate) fn print_json(value: &impl Serialize) -> Result<()> {
+    print(&(serde_json::to_string_pretty(value)? + "\n"))
+}
+
+/// Prints text on standard output.
+pub(crate) fn print(text: &str) -> Result<()> {
+    std::io::stdout().write_all(text.as_bytes()).context("standard output")
 }

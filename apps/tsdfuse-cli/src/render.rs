@@ -5,22 +5,23 @@ mod look;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
 use clap::ArgGroup;
 use clap::builder::PossibleValuesParser;
 use glam::DVec3;
 use serde::Serialize;
-use tsdfuse::render::{Camera, ImageKind, RenderConfig, Renderer};
+use tsdfuse::SensorModel;
+use tsdfuse::render::{Camera, ImageKind, RenderConfig};
 use tsdfuse::sensor::Pinhole;
-use tsdfuse::{Pose, SensorModel, VoxelMap};
+use tsdfuse_run::report::{MapReport, ViewReport};
+use tsdfuse_run::{Device, check_outputs, view};
 
-use crate::device::{Device, OnDevice, See};
+use crate::args::parse_triple;
 use crate::exit::{Outcome, Usage};
-use crate::output;
+use crate::output::print_json;
 use crate::progress::{self, note, say};
-use crate::report::{MapReport, print_json};
-use crate::simulate::parse_triple;
-use look::{Look, Size};
+use crate::terminal;
+use look::{Look, LookArgs};
 
 const MORE_HELP: &str = "\
 Camera frame: x forward, y left, z up. YAW turns left, PITCH up, ROLL the right side down, in degrees. A pose file holds \
@@ -37,12 +38,6 @@ Examples:
   tsdfuse render street.tsdf -o turn.png --views 36
   tsdfuse render street.tsdf -o scan.png --pose 0,0,1.8 --sensor pandar64";
 
-const SIZE: Size = Size {
-    width: 1280,
-    height: 720,
-};
-const FOV_DEG: f32 = 60.0;
-
 /// Make pictures of a saved map.
 #[derive(Debug, clap::Args)]
 #[command(after_help = MORE_HELP, group(ArgGroup::new("place").args(["pose", "poses", "from"])),
@@ -53,40 +48,12 @@ pub(crate) struct Args {
     /// The picture to write, .png.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Look at the whole map from above; the default.
-    #[arg(long)]
-    overview: bool,
-    /// Look at the whole map from N places around it.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=9999))]
-    views: Option<u16>,
-    #[arg(
-        help = "Look from this pose: X,Y,Z[,YAW[,PITCH[,ROLL]]], or a file that holds one",
-        long,
-        value_name = "POSE|FILE",
-        allow_hyphen_values = true
-    )]
-    pose: Option<String>,
-    /// Look from each pose of a file.
-    #[arg(long, value_name = "FILE")]
-    poses: Option<PathBuf>,
-    /// Look from this place towards --to.
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, requires = "to")]
-    from: Option<DVec3>,
-    /// The place that is looked at.
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, requires = "from")]
-    to: Option<DVec3>,
-    /// The given poses are those of an optical frame: x right, y down, z forward.
-    #[arg(long, conflicts_with_all = ["overview", "views", "from"])]
-    optical: bool,
+    #[command(flatten)]
+    look: LookArgs,
     /// What the picture shows; several with commas between them.
     #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = ImageKind::default().name(),
         value_parser = PossibleValuesParser::new(ImageKind::ALL.map(ImageKind::name)))]
     image: Vec<String>,
-    #[arg(long, value_name = "WIDTHxHEIGHT",
-        help = format!("Pixels [default: {}x{}]", SIZE.width, SIZE.height))]
-    size: Option<Size>,
-    #[arg(long, value_name = "DEG", help = format!("Field of view across [default: {FOV_DEG}]"))]
-    fov: Option<f32>,
     /// Look with a LiDAR: a row for each beam, a column for each firing, clockwise from straight ahead.
     #[arg(long, value_name = "NAME", requires = "place", conflicts_with_all = ["size", "fov"],
         value_parser = PossibleValuesParser::new(tsdfuse::sensor::names()))]
@@ -120,21 +87,6 @@ struct Done {
     views: Vec<ViewReport>,
 }
 
-/// One view. Times are seconds of wall time.
-#[derive(Debug, Serialize)]
-pub(crate) struct ViewReport {
-    /// `world_from_camera`, the row-major matrix `[R | t]`.
-    pose: [f64; 12],
-    width: usize,
-    height: usize,
-    /// Pixels that see surface.
-    surface_pixels: usize,
-    /// The pictures that were written.
-    files: Vec<PathBuf>,
-    seconds: f64,
-    write_seconds: f64,
-}
-
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let config = RenderConfig {
         min_weight: args.min_weight,
@@ -142,21 +94,23 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     };
     config.validate().map_err(Usage::new)?;
     tsdfuse_io::png::check(&args.output).map_err(Usage::new)?;
-    output::check_file(&args.output)?;
     let kinds = args.kinds();
-    let pinhole = look::pinhole(args.size.unwrap_or(SIZE), args.fov.unwrap_or(FOV_DEG))?;
+    let pinhole = args.look.camera()?;
     let sensor = args.sensor.as_deref().and_then(tsdfuse::sensor::model);
-    let look = Look::of(args)?;
+    let place = Look::of(&args.look)?;
+    let mut inputs = vec![args.map.as_path()];
+    inputs.extend(args.look.poses.as_deref());
+    check_outputs(&inputs, &[&args.output])?;
 
     let start = Instant::now();
-    let map = crate::map::read(&args.map)?;
+    let map = crate::map::read_any(&args.map)?;
     let read_seconds = start.elapsed().as_secs_f64();
     let spinner = progress::working("rendering");
     let preparing = Instant::now();
-    let renderer = prepare(&map, &config)?;
-    let mut see = args.device.viewer(&renderer, &config)?;
+    let renderer = view::renderer(&map, &config)?;
+    let mut look = args.device.look(&renderer, &config)?;
     let prepare_seconds = preparing.elapsed().as_secs_f64();
-    let poses = look.poses(&renderer, &pinhole);
+    let poses = place.poses(&renderer, &pinhole);
     let camera = sensor.clone().map_or(Camera::Pinhole(pinhole), Camera::Lidar);
     let mut views = Vec::with_capacity(poses.len());
     for (number, pose) in poses.iter().enumerate() {
@@ -164,7 +118,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
             .iter()
             .map(|&kind| (kind, name(&args.output, number, poses.len(), kind, kinds.len())))
             .collect();
-        views.push(ViewReport::make(&mut see, &camera, *pose, &files)?);
+        views.push(view::write(&mut look, &camera, *pose, &files)?);
     }
     drop(spinner);
     let done = Done {
@@ -184,43 +138,6 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     Ok(Outcome::Complete)
 }
 
-/// Writes an overview of a map, which the device still has, if one fused it.
-pub(crate) fn preview(
-    map: &VoxelMap,
-    device: Option<&dyn OnDevice>,
-    min_weight: f32,
-    path: &Path,
-) -> Result<ViewReport> {
-    let _spinner = progress::working("rendering");
-    let config = RenderConfig {
-        min_weight,
-        ..Default::default()
-    };
-    let renderer = prepare(map, &config)?;
-    let camera = look::pinhole(SIZE, FOV_DEG)?;
-    let pose = Look::Overview.poses(&renderer, &camera);
-    let pose = pose.first().context("the map has no surface")?;
-    let file = (ImageKind::Shaded, path.to_owned());
-    let mut see = match device {
-        Some(device) => device.viewer(&config)?,
-        None => Device::Cpu.viewer(&renderer, &config)?,
-    };
-    ViewReport::make(&mut see, &Camera::Pinhole(camera), *pose, &[file])
-}
-
-/// Prepares a map, which must not be without surface.
-fn prepare<'a>(map: &'a VoxelMap, config: &RenderConfig) -> Result<Renderer<'a>> {
-    let renderer = Renderer::new(map, config)?;
-    if renderer.surface_blocks().len() == 0 {
-        bail!(
-            "the map has no surface: {} blocks of voxels, but none that it passes at a weight of {} or more",
-            map.block_count(),
-            config.min_weight
-        );
-    }
-    Ok(renderer)
-}
-
 impl Args {
     /// The pictures to make of each view; none twice.
     fn kinds(&self) -> Vec<ImageKind> {
@@ -229,46 +146,19 @@ impl Args {
     }
 }
 
-impl ViewReport {
-    fn make(see: &mut See<'_>, camera: &Camera, pose: Pose, files: &[(ImageKind, PathBuf)]) -> Result<Self> {
-        let start = Instant::now();
-        let view = see(camera, pose)?;
-        let seconds = start.elapsed().as_secs_f64();
-        for (kind, path) in files {
-            tsdfuse_io::png::write(path, &view.image(*kind))?;
-        }
-        Ok(Self {
-            pose: pose.to_row_major_3x4(),
-            width: view.width,
-            height: view.height,
-            surface_pixels: view.hit_count(),
-            files: files.iter().map(|(_, path)| path.clone()).collect(),
-            seconds,
-            write_seconds: start.elapsed().as_secs_f64() - seconds,
-        })
-    }
-
-    /// How much of the picture shows surface, percent.
-    fn surface_percent(&self) -> f64 {
-        100.0 * self.surface_pixels as f64 / (self.width * self.height) as f64
-    }
-
-    /// A line for people: where the pictures lie.
-    pub(crate) fn say_where(&self) {
-        for file in &self.files {
-            say(format_args!("  wrote    {}", file.display()));
-        }
-    }
+/// How much of a picture shows surface, percent.
+fn surface_percent(view: &ViewReport) -> f64 {
+    100.0 * view.surface_pixels as f64 / (view.width * view.height) as f64
 }
 
 impl Done {
     /// A few lines for people.
     fn summarize(&self, wall_seconds: f64) {
-        self.map.summarize(None);
+        terminal::map(&self.map, None);
         let [Some(first), Some(last)] = [self.views.first(), self.views.last()] else {
             return;
         };
-        let percent = self.views.iter().map(ViewReport::surface_percent);
+        let percent = self.views.iter().map(surface_percent);
         let (least, most) = percent.fold((100.0_f64, 0.0_f64), |(l, m), p| (l.min(p), m.max(p)));
         let size = format!("{} x {} pixels", first.width, first.height);
         match self.views.len() {
@@ -289,7 +179,7 @@ impl Done {
             (Some(from), Some(to)) if self.views.len() > 1 => {
                 say(format_args!("  wrote    {} to {}", from.display(), to.display()));
             }
-            _ => first.say_where(),
+            _ => terminal::pictures(first),
         }
         if most == 0.0 {
             note("nothing of the map is seen from there");

@@ -15,6 +15,7 @@ use tsdfuse_io::atomic::Folder;
 use tsdfuse_io::plain::Writer;
 use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
 
+use crate::args::parse_triple;
 use crate::exit::{Outcome, Usage};
 use crate::progress::{self, say};
 use hits::Hits;
@@ -165,26 +166,4 @@ fn write(args: &Args, simulator: &Simulator, folder: &Path) -> Result<u64> {
     let file = folder.join("simulation.toml");
     fs::write(&file, toml::to_string(&made)?).with_context(|| file.display().to_string())?;
     Ok(points)
-}
-
-/// Three finite numbers with commas between them.
-pub(crate) fn parse_triple(text: &str) -> Result<DVec3, String> {
-    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
-    match numbers.as_deref() {
-        Some(&[x, y, z]) if DVec3::new(x, y, z).is_finite() => Ok(DVec3::new(x, y, z)),
-        _ => Err("three numbers with commas between them are wanted, as in 691000,5335000,520".to_owned()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_offset_is_three_finite_numbers() {
-        assert_eq!(parse_triple("1, -2,3e5"), Ok(DVec3::new(1.0, -2.0, 3e5)));
-        for bad in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
-            assert!(parse_triple(bad).is_err(), "{bad}");
-        }
-    }
 }

@@ -1,22 +1,13 @@
 //! Where the map is while scans are fused: in memory, paged, or on a GPU.
 
-#[cfg(feature = "gpu")]
-mod gpu;
-mod memory;
-mod paged;
-
 use std::path::Path;
 
 use tsdfuse::fuse::{FuseError, Skipped};
 use tsdfuse::index::BlockIndex;
-use tsdfuse::mesh::{Changes, Mesh, MeshConfig};
-use tsdfuse::{Integration, Integrator, Pose, Scan};
+use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
+use tsdfuse::{Integration, Integrator, Pose, Scan, SensorModel, VoxelMap};
 
-#[cfg(feature = "gpu")]
-pub(crate) use gpu::OnGpu;
-pub(crate) use memory::InMemory;
-pub(crate) use paged::Paged;
-
+use crate::config::RunConfig;
 use crate::error::{Result, RunError};
 use crate::report::{MapReport, MeshReport, PagingReport, SavedMap};
 use crate::view::See;
@@ -129,7 +120,7 @@ pub(crate) trait Backend: Send {
     }
 
     /// The map, if it is whole and in memory.
-    fn map(&self) -> Option<&tsdfuse::VoxelMap> {
+    fn map(&self) -> Option<&VoxelMap> {
         None
     }
 }
@@ -138,7 +129,7 @@ pub(crate) trait Backend: Send {
 pub(crate) struct Integrators(Vec<Box<dyn Integrator>>);
 
 impl Integrators {
-    pub(crate) fn new(config: &crate::RunConfig, sensors: &[Option<tsdfuse::SensorModel>]) -> Self {
+    pub(crate) fn new(config: &RunConfig, sensors: &[Option<SensorModel>]) -> Self {
         let methods = config.methods();
         let build = |sensor: &Option<_>| config.method.build(&methods, sensor.as_ref());
         Self(sensors.iter().map(build).collect())
@@ -156,4 +147,21 @@ impl Integrators {
     pub(crate) fn all(&mut self) -> impl Iterator<Item = &mut Box<dyn Integrator>> {
         self.0.iter_mut()
     }
+}
+
+/// The pieces of a map's surface that changed; `surface` is what is known of it once it is followed.
+pub(crate) fn follow(
+    surface: &mut Option<Incremental>,
+    config: &MeshConfig,
+    map: &VoxelMap,
+    updated: &[BlockIndex],
+    changes: &mut Changes,
+) {
+    let surface = surface.get_or_insert_with(|| {
+        let mut surface = Incremental::new(config);
+        surface.note(&map.block_indices());
+        surface
+    });
+    surface.note(updated);
+    surface.changes(map, changes);
 }

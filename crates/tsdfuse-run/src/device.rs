@@ -6,11 +6,10 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 use tsdfuse::mesh::{Mesh, MeshConfig};
 use tsdfuse::render::{RenderConfig, Renderer};
-use tsdfuse::{SensorModel, VoxelMap};
+use tsdfuse::VoxelMap;
 
-use crate::backend::{Backend, InMemory, Integrators};
-use crate::config::RunConfig;
 use crate::error::Result;
+use crate::gpu;
 use crate::view::Look;
 
 /// What fuses, extracts or renders: `cpu`, `gpu`, or `gpu:NAME`.
@@ -62,23 +61,6 @@ impl Display for Device {
 }
 
 impl Device {
-    /// Opens the device, to continue a map there.
-    pub(crate) fn open(
-        &self,
-        map: VoxelMap,
-        config: &RunConfig,
-        sensors: &[Option<SensorModel>],
-    ) -> Result<Box<dyn Backend>> {
-        match self {
-            Self::Cpu => Ok(Box::new(InMemory::new(
-                map,
-                Integrators::new(config, sensors),
-                config.mesh,
-            ))),
-            Self::Gpu(name) => gpu::open(name.as_deref(), &map, config, sensors),
-        }
-    }
-
     /// The mesh of a map.
     ///
     /// # Errors
@@ -99,37 +81,6 @@ impl Device {
             Self::Cpu => Ok(Box::new(|camera, pose| Ok(renderer.view(camera, pose)?))),
             Self::Gpu(name) => gpu::look(name.as_deref(), renderer.map(), config),
         }
-    }
-}
-
-#[cfg(feature = "gpu")]
-use crate::backend::gpu;
-
-/// What a GPU says in a build without the feature `gpu`.
-#[cfg(not(feature = "gpu"))]
-mod gpu {
-    use super::{Backend, Look, Mesh, MeshConfig, RenderConfig, Result, RunConfig, SensorModel, VoxelMap};
-    use crate::error::RunError;
-
-    fn none() -> RunError {
-        RunError::config("this build has no part for GPUs: it was made without the feature gpu")
-    }
-
-    pub(super) fn open(
-        _: Option<&str>,
-        _: &VoxelMap,
-        _: &RunConfig,
-        _: &[Option<SensorModel>],
-    ) -> Result<Box<dyn Backend>> {
-        Err(none())
-    }
-
-    pub(super) fn mesh(_: Option<&str>, _: &VoxelMap, _: &MeshConfig) -> Result<Mesh> {
-        Err(none())
-    }
-
-    pub(super) fn look<'a>(_: Option<&str>, _: &VoxelMap, _: &RenderConfig) -> Result<Look<'a>> {
-        Err(none())
     }
 }
 

@@ -22,26 +22,39 @@ mod config;
 mod device;
 mod error;
 mod event;
+#[cfg_attr(not(feature = "gpu"), path = "no_gpu.rs")]
+mod gpu;
 mod job;
 mod load;
 mod machine;
+mod memory;
 mod outputs;
+mod paged;
 pub mod report;
+mod run;
 mod session;
 mod settings;
+mod setup;
 pub mod surface;
 pub mod view;
 
 #[cfg(feature = "gpu")]
-pub use backend::pool;
+pub use gpu::pool;
 pub use checkpoint::Checkpoint;
 pub use config::RunConfig;
 pub use device::Device;
 pub use error::{BadScan, Result, RunError};
 pub use event::{Event, Observer, Silent, Stop};
-pub use job::{Input, Job, Resumed};
+pub use job::{Input, Job};
 pub use machine::{Machine, peak_memory_bytes};
 pub use outputs::{Outputs, check as check_outputs, check_file};
 pub use report::Report;
-pub use session::{Session, Setup};
+pub use run::Resumed;
+pub use session::Session;
 pub use settings::Settings;
+pub use setup::Setup;
+
+/// The examples of the README, compiled.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

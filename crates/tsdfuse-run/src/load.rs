@@ -9,10 +9,10 @@ use tsdfuse::map::MapError;
 use tsdfuse::{MapConfig, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::Reader;
 
-use crate::backend::Paged;
 use crate::config::RunConfig;
 use crate::error::{Result, RunError};
 use crate::event::{Event, Observer};
+use crate::paged::Paged;
 use crate::report::LoadedMap;
 
 /// A saved map whose header was read.

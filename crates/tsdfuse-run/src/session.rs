@@ -1,117 +1,45 @@
 //! The loop: scans are read ahead, cleaned, fused, followed and committed, one after the other.
 
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
-use serde::{Deserialize, Serialize};
-use tsdfuse::fuse::{Method, RoldaoForm};
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Mesh};
-use tsdfuse::{Pose, Scan, VoxelMap};
+use tsdfuse::{Pose, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::{Log, ReadAhead, ReadScan, Selection};
 use tsdfuse_store::PagedMap;
 
-use crate::backend::{Backend, Failed, Paged, Settled};
+use crate::backend::{Backend, Failed, Integrators, Settled};
 use crate::checkpoint::Checkpoint;
 use crate::config::RunConfig;
 use crate::device::Device;
 use crate::error::{BadScan, Result, RunError};
 use crate::event::{Event, Observer, Stop};
+use crate::gpu;
 use crate::job::Job;
+use crate::load::Loading;
+use crate::memory::InMemory;
+use crate::paged::Paged;
 use crate::report::{
     FinishReport, LoadedMap, MapReport, MeshReport, PagingReport, SavedMap, ScanReport, SkippedScan, Sums, Totals,
     ViewReport,
 };
-use crate::load::Loading;
+use crate::setup::Setup;
 use crate::view;
 
 /// Scans whose regions are loaded ahead.
 const AHEAD: usize = 3;
 
-/// How a log is fused: the configuration, and where the map is meanwhile.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Setup {
-    /// What decides the result.
-    pub config: RunConfig,
-    /// Which scans are fused.
-    pub selection: Selection,
-    /// Whether scans that cannot be used are left out; otherwise the first one ends the run.
-    pub skip_bad: bool,
-    /// What fuses.
-    pub device: Device,
-    /// Most memory for blocks of the map; the others are in a file meanwhile.
-    pub memory_bytes: Option<usize>,
-    /// The file in which the map is kept as it grows, so that a run that was ended early can go on.
-    pub store: Option<PathBuf>,
-    /// Scans from commit to commit of the store.
-    pub commit_every: usize,
-    /// Where the temporary store of a limited memory lies: in this folder.
-    pub temporary: PathBuf,
-    /// A saved map to continue.
-    pub load_map: Option<PathBuf>,
-    /// Scans from one [`Event::SurfaceChanged`] to the next; `None`: nobody wants to know.
-    pub follow_every: Option<usize>,
-}
-
-impl Default for Setup {
-    fn default() -> Self {
-        Self {
-            config: RunConfig::default(),
-            selection: Selection::default(),
-            skip_bad: false,
-            device: Device::Cpu,
-            memory_bytes: None,
-            store: None,
-            commit_every: 100,
-            temporary: std::env::temp_dir(),
-            load_map: None,
-            follow_every: None,
+/// A map on the device that fuses.
+fn open(map: VoxelMap, setup: &Setup, sensors: &[Option<SensorModel>]) -> Result<Box<dyn Backend>> {
+    let config = &setup.config;
+    match &setup.device {
+        Device::Cpu => {
+            let integrators = Integrators::new(config, sensors);
+            Ok(Box::new(InMemory::new(map, integrators, config.mesh)))
         }
-    }
-}
-
-impl Setup {
-    /// The defaults for a log.
-    pub fn for_log(log: &Log) -> Self {
-        Self {
-            config: RunConfig::for_log(log),
-            ..Self::default()
-        }
-    }
-
-    /// Whether not all of the map is in memory.
-    pub fn is_paged(&self) -> bool {
-        self.memory_bytes.is_some() || self.store.is_some()
-    }
-
-    /// Refuses what does not go together.
-    ///
-    /// # Errors
-    /// [`RunError::Config`] says what.
-    pub fn check(&self) -> Result<()> {
-        self.config.validate()?;
-        let is_batch = self.config.method == Method::Roldao && self.config.roldao.form == RoldaoForm::Batch;
-        if self.is_paged() {
-            if self.device != Device::Cpu {
-                return Err(RunError::config(
-                    "--memory and --store are for maps that the CPU fuses: leave out --device",
-                ));
-            }
-            if is_batch {
-                return Err(RunError::config(
-                    "--memory and --store: roldao.form = batch keeps the points of all scans in memory",
-                ));
-            }
-        }
-        if let (Some(path), true) = (&self.load_map, is_batch) {
-            return Err(RunError::config(format_args!(
-                "{}: roldao.form = batch fits planes to all scans at once, and a saved map no longer holds them",
-                path.display()
-            )));
-        }
-        Ok(())
+        Device::Gpu(name) => gpu::open(name.as_deref(), &map, config, sensors),
     }
 }
 
@@ -201,7 +129,7 @@ impl Session {
                 Some((map, loaded)) => (map, Some(loaded)),
                 None => (VoxelMap::new(setup.config.map)?, None),
             };
-            (setup.device.open(map, &setup.config, &sensors)?, loaded)
+            (open(map, &setup, &sensors)?, loaded)
         };
         let mut session = Self::with(log, setup, backend, checkpoint);
         session.loaded = loaded;

@@ -1,4 +1,4 @@
-//! Surfaces as files: meshes, and 3D Tiles.
+//! Surfaces and maps as files.
 
 use std::path::Path;
 use std::time::Instant;
@@ -6,11 +6,11 @@ use std::time::Instant;
 use tsdfuse::glam::{DVec3, Vec3};
 use tsdfuse::mesh::{Mesh, MeshConfig, extract_with};
 use tsdfuse::VoxelMap;
-use tsdfuse_io::ply;
-use tsdfuse_store::{PagedMap, Sink};
+use tsdfuse_io::{map_file::Writer, ply};
+use tsdfuse_store::{PagedMap, Sink, StoreError};
 
 use crate::error::{Result, RunError};
-use crate::report::MeshReport;
+use crate::report::{MeshReport, SavedMap};
 
 /// Whether a surface is to be written as 3D Tiles: `NAME/tileset.json`.
 pub fn is_tileset(path: &Path) -> bool {
@@ -50,14 +50,27 @@ pub fn check_in_parts(path: &Path) -> Result<()> {
 /// # Errors
 /// [`RunError::Nothing`] for a map without surface; if the file cannot be written.
 pub fn write(map: &VoxelMap, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
+    write_by(|| Ok(extract_with(map, config)?), map, config, path)
+}
+
+/// As [`write`], where something else extracts the mesh of the map.
+///
+/// # Errors
+/// As [`write`], and what `extract` says.
+pub fn write_by(
+    extract: impl FnOnce() -> Result<Mesh>,
+    map: &VoxelMap,
+    config: &MeshConfig,
+    path: &Path,
+) -> Result<MeshReport> {
     if is_tileset(path) {
         return tiles::write(path, &mut tsdfuse::mesh::Surface::of(map, config));
     }
-    write_by(|| Ok(extract_with(map, config)?), map.block_count(), config, path)
+    write_mesh(extract, map.block_count(), config, path)
 }
 
-/// As [`write`] for one mesh file, where something else extracts the mesh of a map of so many blocks.
-pub(crate) fn write_by(
+/// Writes one mesh file, of a map of so many blocks.
+pub(crate) fn write_mesh(
     extract: impl FnOnce() -> Result<Mesh>,
     blocks: usize,
     config: &MeshConfig,
@@ -112,6 +125,35 @@ pub fn write_in_parts(map: &mut PagedMap, config: &MeshConfig, path: &Path) -> R
         write_seconds: start.elapsed().as_secs_f64() - seconds,
         tiles: None,
     })
+}
+
+/// Saves a map that is not all in memory.
+///
+/// # Errors
+/// If the store cannot be read, or the file cannot be written.
+pub fn save_in_parts(map: &mut PagedMap, path: &Path) -> Result<SavedMap> {
+    let start = Instant::now();
+    let mut failed: Option<RunError> = None;
+    let written = tsdfuse_io::atomic::write(path, |out| {
+        let mut writer = Writer::new(out, map.config(), map.integrations())?;
+        let saved = map.for_each_region(|map, region| {
+            let mut blocks = map.blocks_of(region);
+            Ok(blocks.try_for_each(|(index, block)| writer.block(index, block))?)
+        });
+        saved.map_err(|error: StoreError| match error {
+            StoreError::Sink(error) => error,
+            error => {
+                failed = Some(error.into());
+                std::io::Error::other("the store cannot be read")
+            }
+        })?;
+        writer.finish().map(drop)
+    });
+    match (written, failed) {
+        (Ok(()), _) => Ok(SavedMap::written(path, start)),
+        (Err(_), Some(error)) => Err(error),
+        (Err(error), None) => Err(error.into()),
+    }
 }
 
 /// A PLY file that takes a mesh in parts.

@@ -1,4 +1,4 @@
-//! All voxel ↔ block ↔ world arithmetic, and nothing else.
+//! All arithmetic of voxels, blocks, regions, shards and the world, and nothing else.
 //!
 //! ```text
 //!   world x, metres     -0.40            0.00  0.05  0.10            0.40          κ = 0.05 m
@@ -6,7 +6,9 @@
 //!   voxel index             -8 … -1            0     1   …     7         8 …
 //!   voxel i covers [iκ, (i+1)κ), its centre is (i+½)κ;   block = floor(i / 8),  local = i mod 8
 //!
-//!   number of a voxel in its block: x + 8 y + 64 z  (local coordinates)
+//!   number of a voxel in its block: x + 8 y + 64 z  (local coordinates);   of a block in its region: the same
+//!
+//!   voxel ─ 8³ ─▶ block ─ 8³ ─▶ region ─ spatial hash (5.1) ─▶ shard: the part of a map's table that holds it
 //! ```
 
 use glam::{DVec3, IVec3, Vec3};
@@ -15,6 +17,18 @@ use glam::{DVec3, IVec3, Vec3};
 pub const BLOCK_EDGE: i32 = 8;
 /// Voxels in a block.
 pub const BLOCK_VOXELS: usize = 512;
+
+/// Parts of a map's block table.
+pub const SHARDS: usize = 64;
+
+/// Bits of a voxel's coordinate within its region.
+pub(crate) const REGION_SHIFT: u32 = 6;
+
+/// Blocks in a region.
+pub(crate) const REGION_BLOCKS: usize = 512;
+
+/// Bits of a block's coordinate within its region.
+pub(crate) const REGION_BITS: u32 = REGION_SHIFT - 3;
 
 /// Voxel coordinates beyond this are not stored: ±53 000 km at 5 cm.
 const MAX_VOXEL: f64 = (1 << 30) as f64;
@@ -49,7 +63,7 @@ impl RegionIndex {
     /// The region that holds a block.
     #[inline]
     pub fn of(BlockIndex(block): BlockIndex) -> Self {
-        Self(block >> 3)
+        Self(block >> REGION_BITS)
     }
 }
 
@@ -85,6 +99,40 @@ pub fn local_number(voxel: IVec3) -> usize {
 pub fn voxel_at(block: BlockIndex, local: usize) -> IVec3 {
     let l = local as i32;
     block.first_voxel() + IVec3::new(l & 7, (l >> 3) & 7, l >> 6)
+}
+
+/// The region of a block, and the block's number in it, 0..512.
+#[inline(always)]
+pub(crate) fn in_region(BlockIndex(b): BlockIndex) -> (IVec3, usize) {
+    let within = b & ((1 << REGION_BITS) - 1);
+    let number = within.x | within.y << REGION_BITS | within.z << (2 * REGION_BITS);
+    (b >> REGION_BITS, number as usize % REGION_BLOCKS)
+}
+
+/// The block with a number in a region: the inverse of [`in_region`].
+pub(crate) fn block_of_region(region: IVec3, number: usize) -> BlockIndex {
+    let n = number as i32;
+    let within = IVec3::new(n, n >> REGION_BITS, n >> (2 * REGION_BITS)) & ((1 << REGION_BITS) - 1);
+    BlockIndex((region << REGION_BITS) + within)
+}
+
+/// The part of the table that holds a block: the hash of voxel block hashing (5.1), of the region it lies in, so that
+/// what touches one block and its neighbours mostly touches one shard.
+#[inline]
+pub(crate) fn shard_of(BlockIndex(b): BlockIndex) -> usize {
+    shard_of_region(b >> REGION_BITS)
+}
+
+/// As [`shard_of`], for all blocks of a region.
+#[inline]
+pub(crate) fn shard_of_region(region: IVec3) -> usize {
+    hash(region) as usize % SHARDS
+}
+
+/// The hash of (5.1).
+#[inline(always)]
+pub(crate) fn hash(v: IVec3) -> i32 {
+    v.x.wrapping_mul(73_856_093) ^ v.y.wrapping_mul(19_349_669) ^ v.z.wrapping_mul(83_492_791)
 }
 
 /// A place in the grid: a voxel, and the position within it.

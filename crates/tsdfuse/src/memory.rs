@@ -88,6 +88,13 @@ impl Blocks {
         Some(slab)
     }
 
+    /// One of them; `None` where its slab was taken out.
+    #[inline]
+    pub(crate) fn get(&self, number: usize) -> Option<&Block> {
+        let slab = self.slabs.get(number / SLAB_BLOCKS)?.as_ref()?;
+        Some(&slab[number % SLAB_BLOCKS])
+    }
+
     /// All of them, those that were never asked for included.
     pub(crate) fn iter(&self) -> impl Iterator<Item = &Block> {
         self.slabs.iter().flatten().flat_map(|slab| slab.iter())
@@ -100,10 +107,10 @@ impl Blocks {
     }
 }
 
-/// What a slab has that was taken out.
+/// What a release build shows in place of a slab that was taken out.
 static TAKEN_OUT: Block = Block::EMPTY;
 
-/// Of a slab that was taken out, it gives empty ones.
+/// Indexing into a slab that was taken out is a mistake of the caller, which debug builds catch; a release build yields an empty block.
 impl Index<usize> for Blocks {
     type Output = Block;
 
@@ -111,7 +118,10 @@ impl Index<usize> for Blocks {
     fn index(&self, number: usize) -> &Block {
         match &self.slabs[number / SLAB_BLOCKS] {
             Some(slab) => &slab[number % SLAB_BLOCKS],
-            None => &TAKEN_OUT,
+            None => {
+                debug_assert!(false, "block {number} is in a slab that was taken out");
+                &TAKEN_OUT
+            }
         }
     }
 }
@@ -119,7 +129,9 @@ impl Index<usize> for Blocks {
 impl IndexMut<usize> for Blocks {
     #[inline(always)]
     fn index_mut(&mut self, number: usize) -> &mut Block {
-        let slab = self.slabs[number / SLAB_BLOCKS].get_or_insert_with(|| self.pool.slab());
+        let slab = &mut self.slabs[number / SLAB_BLOCKS];
+        debug_assert!(slab.is_some(), "block {number} is in a slab that was taken out");
+        let slab = slab.get_or_insert_with(|| self.pool.slab());
         &mut slab[number % SLAB_BLOCKS]
     }
 }
@@ -352,7 +364,8 @@ mod tests {
         let (all, at) = (one.memory_bytes(), std::ptr::from_ref(&one[24]));
         let taken = one.take(24).unwrap();
         assert!(one.take(24).is_none() && one.take(80).is_none());
-        assert_eq!((one.memory_bytes() + SLAB_BYTES, &one[25]), (all, &Block::EMPTY));
+        assert_eq!((one.memory_bytes() + SLAB_BYTES, one.get(25)), (all, None));
+        assert!(one.get(23) == Some(&one[23]) && one.get(80).is_none());
         // It is the same memory elsewhere,
         assert_eq!((other.put(taken), marks_of(&other[7])), (0, [3; 2]));
         assert_eq!(std::ptr::from_ref(&other[0]), at);
@@ -418,6 +431,16 @@ mod tests {
         assert!(last.upgrade().is_some());
         drop(kept);
         assert!(last.upgrade().is_none());
+    }
+
+    #[test]
+    #[cfg(debug_assertions)]
+    #[should_panic(expected = "block 9 is in a slab that was taken out")]
+    fn a_block_that_was_taken_out_is_not_given() {
+        let mut blocks = Blocks::default();
+        (0..2).for_each(|_| _ = blocks.push());
+        drop(blocks.take(8));
+        let _ = &blocks[9];
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Which part of a map a scan can touch: known before it is fused, so that of a map larger than memory it can be there.
+//! Which part of a map a scan can touch. It is known before the scan is fused, so that a map larger than memory can load it.
 
 use std::f64::consts::{PI, TAU};
 
@@ -6,83 +6,49 @@ use glam::{DMat3, DVec2, DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::{
-    fuse::{FuseConfig, Method},
-    index::{Grid, RegionIndex},
-    map::{MapConfig, REGION_SHIFT},
-    patch::widest_gap_m,
-    scan::Scan,
+    index::{Grid, REGION_SHIFT, RegionIndex},
+    map::MapConfig,
+    scan::{Scan, ScanError},
     sensor::approx::atan2_f32,
-    surfel::SurfelConfig,
 };
 
 /// Sectors about the sensor, seen from above.
 const SECTORS: usize = 128;
 const SECTOR_RAD: f64 = TAU / SECTORS as f64;
 
-/// A part of the world that holds every voxel whose bits can change, or matter, when a scan is fused: around the sensor's position, in each sector
-/// of azimuth, as far as the farthest return in it.
+/// A part of the world that holds every voxel that fusing a scan can read or write: around the sensor's position, in each sector of
+/// azimuth as far as the farthest return in it.
 ///
-/// It is the whole way to the returns: rays erase, and see that there is nothing, all along.
+/// The whole way to the returns belongs to it, because rays erase, and observe free space, all along.
+///
+/// A method returns it from [`Integrator::reach`](crate::Integrator::reach), which begins with [`Reach::of`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reach {
     /// The sensor's position, metres.
     pub center: DVec3,
-    /// How far away the farthest return is, metres.
+    /// The range of the farthest return, metres.
+    farthest_m: f32,
+    /// How far returns reach, made-up ones included, metres.
     radius_m: f64,
-    /// And that of each sector, from above; the first one begins at −x.
+    /// The same for each sector, seen from above; the first one begins at −x.
     sectors_m: [f32; SECTORS],
     /// How much farther voxels may lie, in any direction.
     margin_m: f64,
 }
 
-/// Depths that are made up in holes of an image may be by this factor farther than those about them,
+/// Slack that covers what all methods do beside the returns. Those that do more say so with [`Reach::widened`] and [`Reach::turned`].
+/// Depths interpolated in the holes of an image may exceed those around them by this factor,
 const FACTOR: f64 = 1.1;
-/// in columns this far away.
+/// in columns at most this far away.
 const HOLES_RAD: f64 = 0.05;
-/// Windows of `patch` and centres of projection are not farther than this from returns,
+/// Windows for planes, and centres of projection, lie within this distance of returns,
 const MARGIN_M: f64 = 2.0;
-/// neighbourhoods so many voxels,
+/// neighbourhoods within this many voxels,
 const NEIGHBOURHOOD_VOX: f64 = 16.0;
-/// bands about a surface this many truncations (along the optical axis of a camera, which sees its corners from afar).
+/// bands around a surface within this many truncations (a camera measures along its optical axis, which is less at its corners).
 const TRUNCATIONS: f64 = 4.0;
 
-impl Method {
-    /// What fusing a scan into a map can touch. Returns beyond the scan's range limits must have been dropped.
-    pub fn reach(self, config: &FuseConfig, map: &MapConfig, scan: &Scan) -> Reach {
-        let (way_m, turn_rad) = motion(scan);
-        let (farthest_m, sectors_m) = farthest(scan);
-        let beside_m = match self {
-            Self::Surfel => disc_m(&config.surfel, f64::from(farthest_m)),
-            Self::Patch => f64::from(widest_gap_m(config.patch.max_gap_m, farthest_m)),
-            _ => 0.0,
-        };
-        let wider = ((turn_rad + HOLES_RAD) / SECTOR_RAD).ceil() as usize + 1;
-        Reach {
-            center: scan.pose.translation,
-            radius_m: FACTOR * f64::from(farthest_m),
-            sectors_m: std::array::from_fn(|sector| {
-                let beside = (0..=2 * wider.min(SECTORS / 2)).map(|k| (sector + SECTORS + k - wider) % SECTORS);
-                FACTOR as f32 * beside.map(|sector| sectors_m[sector]).fold(0.0, f32::max)
-            }),
-            margin_m: MARGIN_M
-                + NEIGHBOURHOOD_VOX * map.voxel_size_m
-                + TRUNCATIONS * map.truncation_m
-                + beside_m
-                + FACTOR * way_m,
-        }
-    }
-}
-
-/// The largest radius that a surfel can have, at this range or nearer.
-fn disc_m(config: &SurfelConfig, range_m: f64) -> f64 {
-    let coarsest = f64::from(config.levels.saturating_sub(1)).exp2();
-    let reached = (2.0 * range_m / f64::from(config.finest_range_m)).max(1.0);
-    let cell_m = f64::from(config.finest_cell_m) * coarsest.min(reached);
-    // No standard deviation exceeds half the diagonal of a cell.
-    f64::from(config.radius_sigmas) * 0.5 * 3f64.sqrt() * cell_m
-}
-
-/// How far the sensor was from its pose while it measured, and how much it was turned.
+/// How far the sensor was from the scan's pose while it measured, and by how much it was turned.
 fn motion(scan: &Scan) -> (f64, f64) {
     let times = scan.times.iter().flatten().copied().filter(|t| t.is_finite());
     let range = times.fold(None, |range: Option<(f32, f32)>, t| {
@@ -99,7 +65,7 @@ fn motion(scan: &Scan) -> (f64, f64) {
         })
 }
 
-/// The range of the farthest return, and from above in each sector.
+/// The range of the farthest return, and the farthest horizontal distance in each sector.
 fn farthest(scan: &Scan) -> (f32, [f32; SECTORS]) {
     let rotation = DMat3::from_quat(scan.pose.rotation).as_mat3();
     let of = |points: &[Vec3]| {
@@ -130,12 +96,58 @@ fn sector_of(azimuth_rad: f32) -> usize {
 }
 
 impl Reach {
-    /// The same from another place.
+    /// What the rays of a scan can touch, up to their ends and the band behind them, with slack for windows of 2 m and
+    /// neighbourhoods of 16 voxels around the returns. Returns beyond the scan's range limits must have been dropped.
+    ///
+    /// # Errors
+    /// [`ScanError`] if the scan contradicts itself.
+    pub fn of(map: &MapConfig, scan: &Scan) -> Result<Self, ScanError> {
+        scan.check()?;
+        let (way_m, turn_rad) = motion(scan);
+        let (farthest_m, sectors_m) = farthest(scan);
+        let reach = Self {
+            center: scan.pose.translation,
+            farthest_m,
+            radius_m: FACTOR * f64::from(farthest_m),
+            sectors_m: sectors_m.map(|range_m| FACTOR as f32 * range_m),
+            margin_m: MARGIN_M + NEIGHBOURHOOD_VOX * map.voxel_size_m + TRUNCATIONS * map.truncation_m + FACTOR * way_m,
+        };
+        Ok(reach.turned(turn_rad + HOLES_RAD))
+    }
+
+    /// The range of the scan's farthest return, metres.
+    pub fn farthest_m(&self) -> f32 {
+        self.farthest_m
+    }
+
+    /// Wider by a distance in all directions: for a method that updates voxels this far from returns.
+    #[must_use]
+    pub fn widened(self, margin_m: f64) -> Self {
+        Self {
+            margin_m: self.margin_m + margin_m,
+            ..self
+        }
+    }
+
+    /// Wider by an angle to both sides: for a method that makes up returns this far beside measured ones.
+    #[must_use]
+    pub fn turned(self, angle_rad: f64) -> Self {
+        let wider = (angle_rad / SECTOR_RAD).ceil() as usize + 1;
+        let sectors_m = std::array::from_fn(|sector| {
+            let beside =
+                (0..=2 * wider.min(SECTORS / 2)).map(|k| (sector + SECTORS + k - wider.min(SECTORS / 2)) % SECTORS);
+            beside.map(|sector| self.sectors_m[sector]).fold(0.0, f32::max)
+        });
+        Self { sectors_m, ..self }
+    }
+
+    /// The same reach from another position of the sensor.
+    #[must_use]
     pub fn at(&self, center: DVec3) -> Self {
         Self { center, ..self.clone() }
     }
 
-    /// Whether any of a region lies within it.
+    /// Whether any part of a region lies within it.
     pub fn touches(&self, RegionIndex(region): RegionIndex, grid: Grid) -> bool {
         let edge_m = f64::from(1 << REGION_SHIFT) * grid.voxel_size_m();
         let corner = |region: IVec3| region.as_dvec3() * edge_m - self.center;
@@ -144,7 +156,7 @@ impl Reach {
         if DVec3::ZERO.clamp(low, high).length_squared() > farthest_m * farthest_m {
             return false;
         }
-        // From above: a circle about it, and the sectors that the circle is seen in.
+        // Seen from above: a circle around the region, and the sectors that the circle covers.
         let middle: DVec2 = (0.5 * (low + high)).truncate();
         let circle_m = 0.5 * edge_m * 2f64.sqrt() + self.margin_m;
         let distance_m = middle.length();

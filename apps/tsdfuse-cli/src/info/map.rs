@@ -9,9 +9,11 @@ use serde::Serialize;
 use tsdfuse::index::voxel_at;
 use tsdfuse::{MapConfig, VoxelMap};
 
-use super::table::{Rows, extent_line};
-use crate::fuse::Stored;
-use crate::report::MapReport;
+use tsdfuse_run::Checkpoint;
+use tsdfuse_run::report::MapReport;
+use tsdfuse_store::PagedMap;
+
+use super::rows::{Rows, extent_line};
 
 /// What a saved map or a store holds.
 #[derive(Debug, Serialize)]
@@ -25,7 +27,7 @@ pub(super) struct MapInfo {
     /// The corners of the box around all observed voxels, world, metres; of a map.
     extent_m: Option<[DVec3; 2]>,
     /// How many scans of the run are stored, and how many there are; of a store.
-    scans: Option<[usize; 2]>,
+    scans: Option<[Option<usize>; 2]>,
 }
 
 impl MapInfo {
@@ -45,16 +47,17 @@ impl MapInfo {
 
     /// Of a store, whose map is not read.
     pub(super) fn of_store(path: &Path) -> Result<Self> {
-        let Stored { config, map, scans } = Stored::open(path)?;
+        let (map, checkpoint) = PagedMap::open_read_only(path, None)?;
+        let checkpoint = Checkpoint::parse(path, &checkpoint)?;
         let file = std::fs::metadata(path).with_context(|| path.display().to_string())?;
         Ok(Self {
             path: path.to_owned(),
             format: "tsdfuse store",
             file_bytes: file.len(),
-            config,
-            map,
+            config: *map.config(),
+            map: MapReport::of_paged(&map),
             extent_m: None,
-            scans: Some(scans),
+            scans: Some([Some(checkpoint.done), checkpoint.asked]),
         })
     }
 
@@ -65,9 +68,10 @@ impl MapInfo {
             if self.scans.is_some() { "store" } else { "map" },
             format!("{} ({})", self.path.display(), BinaryBytes(self.file_bytes)),
         );
-        if let Some([done, asked]) = self.scans {
-            let more = if done < asked { "; tsdfuse resume goes on" } else { "" };
-            rows.add("scans", format!("{done} of {asked} stored{more}"));
+        if let Some([Some(done), asked]) = self.scans {
+            let more = if asked.is_some_and(|asked| done < asked) { "; tsdfuse resume goes on" } else { "" };
+            let of = asked.map_or(String::new(), |asked| format!(" of {asked}"));
+            rows.add("scans", format!("{done}{of} stored{more}"));
         }
         rows.add("voxel size", format!("{} m", self.config.voxel_size_m));
         rows.add("truncation", format!("{} m", self.config.truncation_m));

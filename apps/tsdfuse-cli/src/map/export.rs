@@ -7,13 +7,35 @@ use indicatif::HumanCount;
 use tsdfuse::mesh::{MeshConfig, extract_with};
 use tsdfuse_io::{map_file, npz, ply};
 
+use tsdfuse_run::{check_outputs, surface};
+
+use super::open_store;
+#[cfg(feature = "zarr")]
+use super::zarr;
 use crate::exit::{Outcome, Usage};
-use crate::fuse::save_in_parts;
-use crate::mesh::open_store;
-use crate::output::check_file;
 use crate::progress::say;
 
-use super::zarr;
+#[cfg(not(feature = "zarr"))]
+mod zarr {
+    //! What `-o NAME.zarr` says in a build without the feature `zarr`.
+
+    use std::path::Path;
+
+    use crate::exit::Usage;
+
+    pub(super) fn check(path: &Path) -> anyhow::Result<()> {
+        let told = "this build writes no Zarr arrays: it was made without the feature zarr";
+        Err(Usage::new(format_args!("{}: {told}", path.display())).into())
+    }
+
+    pub(super) fn of_map<M>(path: &Path, _: M) -> anyhow::Result<()> {
+        check(path)
+    }
+
+    pub(super) fn of_store<M>(path: &Path, _: M) -> anyhow::Result<()> {
+        check(path)
+    }
+}
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -34,10 +56,12 @@ impl Args {
         };
         config.validate().map_err(Usage::new)?;
         let (map, output) = (&self.map, &self.output);
+        if !output.is_dir() {
+            check_outputs(&[map], &[output])?;
+        }
         let extension = output.extension().map(|e| e.to_string_lossy().to_lowercase());
         let (what, count) = match (extension.as_deref(), tsdfuse_store::recognises(map)) {
             (Some("npz"), false) => {
-                check_file(output)?;
                 let map = map_file::read(map)?;
                 npz::write(output, &map)?;
                 ("voxels", map.observed_voxel_count() as u64)
@@ -49,27 +73,26 @@ impl Args {
                 ("voxels", map.observed_voxel_count() as u64)
             }
             (Some("ply"), false) => {
-                check_file(output)?;
                 let mesh = extract_with(&map_file::read(map)?, &config)?;
                 ply::write_vertices(output, &mesh)?;
                 ("points", mesh.vertices.len() as u64)
             }
             (Some("zarr"), true) => {
                 zarr::check(output)?;
-                let (mut map, mut pager) = open_store(map)?;
-                zarr::of_store(output, &mut map, &mut pager)?;
-                ("voxels", pager.sizes().observed_voxels)
+                let mut map = open_store(map)?;
+                zarr::of_store(output, &mut map)?;
+                ("voxels", map.sizes().observed_voxels)
             }
             (Some("tsdf"), true) => {
-                check_file(output)?;
-                let (mut map, mut pager) = open_store(map)?;
-                save_in_parts(&mut map, &mut pager, output)?;
-                ("voxels", pager.sizes().observed_voxels)
+                let mut map = open_store(map)?;
+                surface::save_in_parts(&mut map, output)?;
+                ("voxels", map.sizes().observed_voxels)
             }
             (_, is_store) => {
-                let wrong = match is_store {
-                    true => "a store is exported as .zarr or .tsdf",
-                    false => "a map is exported as .npz, .zarr or .ply",
+                let wrong = if is_store {
+                    "a store is exported as .zarr or .tsdf"
+                } else {
+                    "a map is exported as .npz, .zarr or .ply"
                 };
                 return Err(Usage::new(format_args!("{}: {wrong}", output.display())).into());
             }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use tsdfuse::VoxelMap;
 use tsdfuse_io::atomic::check_folder;
 use tsdfuse_io::zarr::Volume;
-use tsdfuse_store::Pager;
+use tsdfuse_store::PagedMap;
 
 use crate::exit::Usage;
 
@@ -26,9 +26,9 @@ pub(super) fn of_map(path: &Path, map: &VoxelMap) -> Result<()> {
 }
 
 /// Writes a map of which only some is in memory.
-pub(super) fn of_store(path: &Path, map: &mut VoxelMap, pager: &mut Pager) -> Result<()> {
-    let volume = Volume::create(path, map.config(), &pager.regions())?;
-    pager.for_each_region(map, |map, region| {
+pub(super) fn of_store(path: &Path, map: &mut PagedMap) -> Result<()> {
+    let volume = Volume::create(path, map.config(), &map.regions())?;
+    map.for_each_region(|map, region| {
         anyhow::Ok(volume.region(region, map.blocks_of(region))?)
     })?;
     Ok(volume.finish()?)

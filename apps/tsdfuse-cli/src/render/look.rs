@@ -10,8 +10,56 @@ use tsdfuse::render::{Renderer, overview, turntable};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse_io::rgbd::OPTICAL_FROM_SENSOR;
 
-use super::Args;
+use crate::args::parse_triple;
 use crate::exit::Usage;
+
+const SIZE: Size = Size {
+    width: 1280,
+    height: 720,
+};
+const FOV_DEG: f32 = 60.0;
+
+/// From where, and through which camera.
+#[derive(Debug, clap::Args)]
+pub(super) struct LookArgs {
+    /// Look at the whole map from above; the default.
+    #[arg(long)]
+    pub(super) overview: bool,
+    /// Look at the whole map from N places around it.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=9999))]
+    pub(super) views: Option<u16>,
+    #[arg(
+        help = "Look from this pose: X,Y,Z[,YAW[,PITCH[,ROLL]]], or a file that holds one",
+        long,
+        value_name = "POSE|FILE",
+        allow_hyphen_values = true
+    )]
+    pub(super) pose: Option<String>,
+    /// Look from each pose of a file.
+    #[arg(long, value_name = "FILE")]
+    pub(super) poses: Option<PathBuf>,
+    /// Look from this place towards --to.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, requires = "to")]
+    pub(super) from: Option<DVec3>,
+    /// The place that is looked at.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, requires = "from")]
+    pub(super) to: Option<DVec3>,
+    /// The given poses are those of an optical frame: x right, y down, z forward.
+    #[arg(long, conflicts_with_all = ["overview", "views", "from"])]
+    pub(super) optical: bool,
+    #[arg(long, value_name = "WIDTHxHEIGHT",
+        help = format!("Pixels [default: {}x{}]", SIZE.width, SIZE.height))]
+    pub(super) size: Option<Size>,
+    #[arg(long, value_name = "DEG", help = format!("Field of view across [default: {FOV_DEG}]"))]
+    pub(super) fov: Option<f32>,
+}
+
+impl LookArgs {
+    /// The pinhole camera.
+    pub(super) fn camera(&self) -> Result<Pinhole> {
+        pinhole(self.size.unwrap_or(SIZE), self.fov.unwrap_or(FOV_DEG))
+    }
+}
 
 /// More pixels in a row than any screen has; bounds the memory of a view.
 const MAX_EDGE: u32 = 8192;
@@ -29,7 +77,7 @@ pub(super) enum Look {
 
 impl Look {
     /// What the arguments say; pose files are read.
-    pub(super) fn of(args: &Args) -> Result<Self> {
+    pub(super) fn of(args: &LookArgs) -> Result<Self> {
         if let Some(views) = args.views {
             return Ok(Self::Around(views.into()));
         }
@@ -133,7 +181,7 @@ impl FromStr for Size {
 }
 
 /// A camera with this field of view across.
-pub(super) fn pinhole(size: Size, fov_deg: f32) -> Result<Pinhole> {
+fn pinhole(size: Size, fov_deg: f32) -> Result<Pinhole> {
     if !(1.0..=170.0).contains(&fov_deg) {
         return Err(Usage::new(format_args!("--fov must be from 1 to 170 degrees, not {fov_deg}")).into());
     }

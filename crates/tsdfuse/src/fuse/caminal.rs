@@ -26,7 +26,8 @@ use super::{
     placed::Placed,
 };
 use crate::{
-    map::VoxelMap,
+    map::{MapConfig, VoxelMap},
+    reach::Reach,
     scan::Scan,
     sensor::{DepthImage, MAX_IMAGE_EDGE, Pinhole, SensorModel},
 };
@@ -129,6 +130,15 @@ impl Integrator for Caminal {
         };
         done.prepare_secs = prepare_secs;
         Ok(done)
+    }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        // Filled pixels lie at most half the widest gap beside a measured one.
+        Ok(Reach::of(map, scan)?.turned(0.5 * f64::from(self.config.max_gap_deg).to_radians()))
+    }
+
+    fn needs_sensor(&self) -> bool {
+        true
     }
 }
 

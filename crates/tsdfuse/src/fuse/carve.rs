@@ -19,8 +19,8 @@ use super::{
     placed::Placed,
 };
 use crate::{
-    index::{BLOCK_EDGE, BlockIndex, local_number},
-    map::{Block, REGION_SHIFT, Voxel, VoxelMap, WEIGHT_SCALE},
+    index::{BLOCK_EDGE, BlockIndex, REGION_SHIFT, local_number},
+    map::{Block, Voxel, VoxelMap, WEIGHT_SCALE},
     patch::Patch,
     scan::Scan,
     sensor::{Projection, ScanImage, SensorModel, approx::atan2_f32},

@@ -12,7 +12,8 @@ use std::time::Instant;
 
 use super::{FuseError, Integration, Integrator, Raycast, Skipped, beams::Beams};
 use crate::{
-    map::VoxelMap,
+    map::{MapConfig, VoxelMap},
+    reach::Reach,
     scan::Scan,
     sensor::{Cylindrical as Projection, CylindricalPoint, NONE, SensorModel},
 };
@@ -94,5 +95,13 @@ impl Integrator for Cylindrical {
         done.skipped += lost;
         done.prepare_secs += prepare_secs;
         Ok(done)
+    }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        Ok(Reach::of(map, scan)?)
+    }
+
+    fn needs_sensor(&self) -> bool {
+        true
     }
 }

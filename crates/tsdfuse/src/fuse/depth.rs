@@ -22,7 +22,8 @@ use super::{
 };
 use crate::{
     index::{Anchor, BlockIndex},
-    map::VoxelMap,
+    map::{MapConfig, VoxelMap},
+    reach::Reach,
     scan::Scan,
     sensor::{DepthImage, Pinhole},
 };
@@ -60,6 +61,14 @@ impl Integrator for Depth {
         let [view] = views;
         self.image = view.image;
         Ok(done)
+    }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        Ok(Reach::of(map, scan)?)
+    }
+
+    fn needs_sensor(&self) -> bool {
+        false
     }
 }
 

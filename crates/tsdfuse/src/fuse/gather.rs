@@ -25,8 +25,8 @@ use rustc_hash::FxBuildHasher;
 
 use super::{Integration, Skipped};
 use crate::{
-    index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex, ROUND},
-    map::{Block, SHARDS, Shard, VoxelMap, WEIGHT_SCALE, fixed, in_region, shard_of},
+    index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex, ROUND, SHARDS, in_region, shard_of},
+    map::{Block, Shard, VoxelMap, WEIGHT_SCALE, fixed},
 };
 
 /// Voxels in a row.

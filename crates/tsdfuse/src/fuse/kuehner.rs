@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use super::{
     FuseError, Integration, Integrator, Skipped,
-    beams::Beams,
+    beams::{Beams, rings_of},
     centers::{Centers, depths_at},
     depth::world_axes,
     gather::{Gather, Near, ROW, Skip, Updates},
@@ -28,8 +28,9 @@ use super::{
 use crate::{
     index::{Anchor, BLOCK_EDGE, BlockIndex},
     map::{MapConfig, VoxelMap},
+    reach::Reach,
     scan::Scan,
-    sensor::{Cylindrical, CylindricalPoint, PART, SensorModel, approx::sin_cos, rings_of},
+    sensor::{Cylindrical, CylindricalPoint, PART, SensorModel, approx::sin_cos},
 };
 
 /// The integrator of dense cylindrical depth images.
@@ -108,6 +109,14 @@ impl Integrator for Kuehner {
         done.prepare_secs = prepare_secs;
         (self.depths_m, self.rings) = (image.depths_m, image.rings);
         Ok(done)
+    }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        Ok(Reach::of(map, scan)?)
+    }
+
+    fn needs_sensor(&self) -> bool {
+        true
     }
 }
 

@@ -35,8 +35,11 @@ use super::{
     gather::{Counts, LANES, Skip, fixed_row},
 };
 use crate::{
-    index::{BLOCK_VOXELS, BlockIndex, GridPoint, ROUND, round},
-    map::{NO_SLOT, REGION_BITS, REGION_BLOCKS, REGION_SHIFT, SHARDS, Shard, VoxelMap, shard_of_region},
+    index::{
+        BLOCK_VOXELS, BlockIndex, GridPoint, REGION_BITS, REGION_BLOCKS, REGION_SHIFT, ROUND, SHARDS, round,
+        shard_of_region,
+    },
+    map::{NO_SLOT, Shard, VoxelMap},
     memory::prefetch,
 };
 

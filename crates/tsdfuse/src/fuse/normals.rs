@@ -13,18 +13,19 @@ use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
 
 use super::{
     FuseError, Integration, Integrator,
-    beams::Beams,
+    beams::{Beams, rings_of},
     cylinder::{Row, VOXEL_RADIUS},
     gather::Skip,
     lines::{Line, Lines, Rule, Shape},
     placed::Placed,
 };
 use crate::{
-    map::VoxelMap,
+    map::{MapConfig, VoxelMap},
     memory::prefetch,
     normals::{Normal, NormalsConfig, estimate},
+    reach::Reach,
     scan::Scan,
-    sensor::{ScanImage, SensorModel, approx::acos_f32, rings_of},
+    sensor::{ScanImage, SensorModel, approx::acos_f32},
 };
 
 /// The integrator along local surface normals.
@@ -110,6 +111,14 @@ impl Integrator for Normals {
             prepare_secs,
             ..integration
         })
+    }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        Ok(Reach::of(map, scan)?)
+    }
+
+    fn needs_sensor(&self) -> bool {
+        true
     }
 }
 

@@ -27,9 +27,10 @@ use super::{
     placed::{Order, Placed},
 };
 use crate::{
-    map::VoxelMap,
+    map::{MapConfig, VoxelMap},
     memory::prefetch,
-    patch::{Limits, Patches},
+    patch::{Limits, Patches, widest_gap_m},
+    reach::Reach,
     scan::Scan,
     sensor::{ScanImage, SensorModel},
 };
@@ -198,6 +199,17 @@ impl Integrator for Patch {
             done.updated_blocks.extend(self.carver.carve(map, &seen, sensor));
         }
         Ok(Integration { prepare_secs, ..done })
+    }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        // Patches lie between returns at most this far apart.
+        let reach = Reach::of(map, scan)?;
+        let gap_m = widest_gap_m(self.config.max_gap_m, reach.farthest_m());
+        Ok(reach.widened(f64::from(gap_m)))
+    }
+
+    fn needs_sensor(&self) -> bool {
+        true
     }
 }
 

@@ -5,8 +5,7 @@ use rayon::prelude::*;
 
 use super::FuseError;
 use crate::{
-    index::{Anchor, BLOCK_EDGE, Grid, GridPoint, round},
-    map::{REGION_SHIFT, hash},
+    index::{Anchor, BLOCK_EDGE, Grid, GridPoint, REGION_SHIFT, hash, round},
     scan::Scan,
 };
 

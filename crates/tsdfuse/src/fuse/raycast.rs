@@ -27,7 +27,12 @@ use super::{
     pierced::pierced,
     placed::Placed,
 };
-use crate::{map::VoxelMap, memory::prefetch, scan::Scan};
+use crate::{
+    map::{MapConfig, VoxelMap},
+    memory::prefetch,
+    reach::Reach,
+    scan::Scan,
+};
 
 /// The two forms of raycasting.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -97,6 +102,14 @@ impl Integrator for Raycast {
             prepare_secs,
             ..integration
         })
+    }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        Ok(Reach::of(map, scan)?)
+    }
+
+    fn needs_sensor(&self) -> bool {
+        false
     }
 }
 

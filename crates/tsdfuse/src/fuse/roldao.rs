@@ -38,7 +38,12 @@ use super::{
     gather::{Gather, Items, Near},
     placed::Placed,
 };
-use crate::{index::BlockIndex, map::VoxelMap, scan::Scan};
+use crate::{
+    index::BlockIndex,
+    map::{MapConfig, VoxelMap},
+    reach::Reach,
+    scan::Scan,
+};
 
 /// What planes are fitted to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -189,5 +194,13 @@ impl Integrator for Roldao {
                 }
             }
         }
+    }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        Ok(Reach::of(map, scan)?)
+    }
+
+    fn needs_sensor(&self) -> bool {
+        false
     }
 }

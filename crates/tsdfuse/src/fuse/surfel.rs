@@ -22,6 +22,7 @@ use super::{
 };
 use crate::{
     map::{MapConfig, VoxelMap},
+    reach::Reach,
     scan::{RangeLimits, Scan},
     sensor::{SensorModel, guess},
     surfel::{SurfelConfig, SurfelMap},
@@ -103,6 +104,25 @@ impl Integrator for Surfels {
             ..integration
         })
     }
+
+    fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        let reach = Reach::of(map, scan)?;
+        let radius_m = max_radius_m(&self.config, f64::from(reach.farthest_m()));
+        Ok(reach.widened(radius_m))
+    }
+
+    fn needs_sensor(&self) -> bool {
+        true
+    }
+}
+
+/// The largest radius that a surfel at this range or nearer can have.
+fn max_radius_m(config: &SurfelConfig, range_m: f64) -> f64 {
+    let coarsest = f64::from(config.levels.saturating_sub(1)).exp2();
+    let reached = (2.0 * range_m / f64::from(config.finest_range_m)).max(1.0);
+    let cell_m = f64::from(config.finest_cell_m) * coarsest.min(reached);
+    // No standard deviation exceeds half the diagonal of a cell.
+    f64::from(config.radius_sigmas) * 0.5 * 3f64.sqrt() * cell_m
 }
 
 /// A surfel whose voxels are updated.

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, IVec3};
 
-use super::{MapError, Voxel, VoxelMap};
+use super::{block::Voxel, error::MapError, voxel_map::VoxelMap};
 use crate::index::voxel_at;
 
 impl VoxelMap {

@@ -1,7 +1,11 @@
 //! Maps of two parts of a log make the map of the whole log: their sums are added.
 
-use super::{Block, MapError, Voxel, VoxelMap, check_block, shard_of};
-use crate::index::BlockIndex;
+use super::{
+    block::{Block, Voxel},
+    error::{MapError, check_block},
+    voxel_map::VoxelMap,
+};
+use crate::index::{BlockIndex, shard_of};
 
 impl VoxelMap {
     /// Adds the observations of another map. The same bits as fusing all scans into one map, in any order and grouping, as long as
@@ -47,9 +51,10 @@ impl Voxel {
         let weight = self.weight_sum + other.weight_sum;
         let distance = i64::from(self.distance_sum) + i64::from(other.distance_sum);
         self.weight_sum = weight.min(limit);
-        self.distance_sum = match weight > limit {
-            true => (distance * i64::from(limit) / i64::from(weight)) as i32,
-            false => distance as i32,
+        self.distance_sum = if weight > limit {
+            (distance * i64::from(limit) / i64::from(weight)) as i32
+        } else {
+            distance as i32
         };
         weight > limit
     }
@@ -64,7 +69,7 @@ mod tests {
     use crate::{
         Integrator, MapConfig, Pose, Raycast, Scan,
         index::BLOCK_VOXELS,
-        map::{MAX_WEIGHT_SUM, WEIGHT_SCALE},
+        map::block::{MAX_WEIGHT_SUM, WEIGHT_SCALE},
     };
 
     fn scan(number: i32) -> Scan {

@@ -3,10 +3,13 @@
 use std::sync::Arc;
 
 use super::{
-    Block, MapError, NO_SLOT, REGION_BLOCKS, Region, VoxelMap, block_of_region, check_block, in_region, shard_of_region,
+    block::Block,
+    error::{MapError, check_block},
+    shard::{NO_SLOT, Region},
+    voxel_map::VoxelMap,
 };
 use crate::{
-    index::{BlockIndex, RegionIndex},
+    index::{BlockIndex, REGION_BLOCKS, RegionIndex, block_of_region, in_region, shard_of_region},
     memory::{Pool, SLAB_BLOCKS, Slab},
 };
 

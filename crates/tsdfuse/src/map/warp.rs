@@ -17,7 +17,12 @@ use hashbrown::HashSet;
 use rayon::prelude::*;
 use rustc_hash::FxBuildHasher;
 
-use super::{Block, MAX_WEIGHT_SUM, MapConfig, MapError, Voxel, VoxelMap};
+use super::{
+    block::{Block, MAX_WEIGHT_SUM, Voxel},
+    config::MapConfig,
+    error::MapError,
+    voxel_map::VoxelMap,
+};
 use crate::{
     index::{BLOCK_EDGE, BlockIndex, local_number, voxel_at},
     pose::Pose,

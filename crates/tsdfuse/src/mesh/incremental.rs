@@ -23,8 +23,8 @@ use super::{
     updated::{Blocks, Candidate, candidates, existing, insert},
 };
 use crate::{
-    index::BlockIndex,
-    map::{Block, SHARDS, VoxelMap, shard_of_region},
+    index::{BlockIndex, SHARDS, shard_of_region},
+    map::{Block, VoxelMap},
     memory::prefetch,
 };
 

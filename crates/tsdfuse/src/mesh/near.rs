@@ -4,8 +4,8 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::{
-    index::BlockIndex,
-    map::{Block, NO_SLOT, REGION_BITS, REGION_BLOCKS, SHARDS, Shard, VoxelMap, in_region, shard_of_region},
+    index::{BlockIndex, REGION_BITS, REGION_BLOCKS, SHARDS, in_region, shard_of_region},
+    map::{Block, NO_SLOT, Shard, VoxelMap},
 };
 
 /// A block and its neighbours, or something of each: what belongs to the one at (x, y, z) − 1 has number x + 3y + 9z.
@@ -91,12 +91,14 @@ pub(crate) struct PerBlock<T> {
     pub(crate) shards: Vec<Vec<T>>,
 }
 
-impl<T: Send> PerBlock<T> {
+impl<T: Send + Default> PerBlock<T> {
     /// Asks all blocks of a map.
     pub(crate) fn of_all(map: &VoxelMap, of: impl Fn(&Block) -> T + Sync) -> Self {
         let shard = |shard: &Shard| {
             let slots = (0..shard.blocks().len()).into_par_iter();
-            slots.map(|slot| of(&shard.blocks()[slot])).collect()
+            slots
+                .map(|slot| shard.blocks().get(slot).map(&of).unwrap_or_default())
+                .collect()
         };
         Self {
             shards: map.shards.par_iter().map(shard).collect(),
@@ -157,7 +159,7 @@ mod tests {
         let all = cube().flat_map(|z| cube().flat_map(move |y| cube().map(move |x| BlockIndex(IVec3::new(x, y, z)))));
         let all: Vec<BlockIndex> = all.collect();
         for &index in all.iter().filter(|b| b.0.dot(IVec3::new(1, 2, 3)) % 5 != 0) {
-            map.shards[crate::map::shard_of(index)].slot_or_insert(index);
+            map.shards[crate::index::shard_of(index)].slot_or_insert(index);
         }
         let mut finder = Finder::new(&map);
         let mut seen = [0; 2];

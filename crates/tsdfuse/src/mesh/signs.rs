@@ -12,7 +12,7 @@ pub(super) type Bits = [[u8; 8]; 8];
 pub(super) const NO_BITS: Bits = [[0; 8]; 8];
 
 /// The bits of a block's voxels.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Signs {
     /// Was the voxel observed?
     pub(super) valid: Bits,

@@ -11,8 +11,8 @@ use super::{
     signs::{Bits, NO_BITS},
 };
 use crate::{
-    index::BlockIndex,
-    map::{NO_SLOT, REGION_BLOCKS, VoxelMap, block_of_region, in_region, shard_of_region},
+    index::{BlockIndex, REGION_BLOCKS, block_of_region, in_region, shard_of_region},
+    map::{NO_SLOT, VoxelMap},
 };
 
 /// A set of blocks: a bit for each one of a region.

@@ -4,7 +4,7 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 
-use super::{CANCELLED, Cloud, Normal};
+use super::cloud::{CANCELLED, Cloud, Normal};
 use crate::lanes::{Floats, LANES, Mask, Vectors, lanes, select};
 use crate::sensor::approx::acos_f32;
 

@@ -5,7 +5,7 @@ use std::f32::consts::PI;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Cloud, Normal};
+use super::cloud::{Cloud, Normal};
 use crate::sensor::approx::acos_f32;
 
 /// A face is a corner of a quad of returns: no smaller area, m², has a direction.

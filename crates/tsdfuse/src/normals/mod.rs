@@ -14,6 +14,7 @@
 //! pose, while the image tells who is whose neighbour.
 
 mod adjacent;
+mod cloud;
 mod holz;
 #[cfg(test)]
 mod oracle;
@@ -23,7 +24,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+pub use cloud::Normal;
+
 use crate::sensor::ScanImage;
+use cloud::Cloud;
 
 /// How normals are estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,22 +78,6 @@ pub enum Estimator {
     Holz,
 }
 
-/// The surface at one return.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Normal {
-    /// Unit vector towards the side of the sensor, in the axes of the points; zero where there is none.
-    pub normal: Vec3,
-    /// w_θ (5.17): 1 where all faces used agree, falling to 0 with the sum of their angles to the normal.
-    pub agreement: f32,
-}
-
-impl Normal {
-    /// Whether there is a normal at all.
-    pub fn is_some(&self) -> bool {
-        self.normal != Vec3::ZERO
-    }
-}
-
 /// Estimates the normal of every return.
 ///
 /// `points` are the returns `image` was built from, deskewed: in world axes relative to the scan's pose, metres. `origins`
@@ -126,37 +114,3 @@ pub fn estimate(
 
 /// Returns that one thread takes at a time.
 const PART: usize = 2048;
-
-/// An organized cloud.
-struct Cloud<'a> {
-    image: &'a ScanImage,
-    points: &'a [Vec3],
-    origins: &'a [Vec3],
-}
-
-impl Cloud<'_> {
-    /// The return in a cell.
-    #[inline(always)]
-    fn at(&self, ring: usize, column: usize) -> Option<Vec3> {
-        self.points.get(self.image.get(ring, column)?).copied()
-    }
-
-    /// From the sensor to a return.
-    #[inline(always)]
-    fn ray(&self, i: usize) -> Vec3 {
-        self.points[i] - self.origins.get(i).copied().unwrap_or(Vec3::ZERO)
-    }
-
-    /// The columns on both sides of one.
-    #[inline(always)]
-    fn beside(&self, column: usize) -> (usize, usize) {
-        let last = self.image.columns() - 1;
-        (
-            if column == 0 { last } else { column - 1 },
-            if column == last { 0 } else { column + 1 },
-        )
-    }
-}
-
-/// Unit vectors whose sum is shorter than this cancel each other: it points nowhere.
-const CANCELLED: f32 = 1e-3;

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Kind, Limits, Patch};
+use super::surface::{Kind, Limits, Patch};
 use crate::sensor::{PART, ScanImage};
 
 /// Patches whose normals are at most this far apart may be of one surface; and a link between rays is at least this far from them: a

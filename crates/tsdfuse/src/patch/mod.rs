@@ -3,6 +3,7 @@
 mod between;
 mod plane;
 mod sums;
+mod surface;
 
 use std::ops::Range;
 
@@ -16,52 +17,12 @@ use crate::{
 };
 pub use between::{FAR_M, MAX_GAP_OF_RANGE, MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT, widest_gap_m};
 pub use sums::MAX_COLUMNS;
+pub(crate) use surface::{Limits, Patch};
 
 use between::Between;
 use plane::Moments;
 use sums::{Window, WindowSums};
-
-/// The surface at a return, or between two.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Patch {
-    /// Where the surface is, in the axes of the points.
-    pub(crate) center: Vec3,
-    /// Unit vector towards the side of the sensor; zero at a return without a plane.
-    pub(crate) normal: Vec3,
-    pub(crate) kind: Kind,
-}
-
-/// What is known about the surface at a patch, the least first.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Kind {
-    /// Where a ray ends.
-    #[default]
-    Ray,
-    /// A plane through half of the returns around.
-    Half,
-    /// A plane through all of them.
-    Whole,
-}
-
-impl Patch {
-    /// Whether there is a plane.
-    pub(crate) fn is_plane(&self) -> bool {
-        self.kind != Kind::Ray
-    }
-}
-
-/// What a plane must be like.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Limits {
-    /// Half the edge of the windows, metres.
-    pub(crate) window_m: f32,
-    /// The standard deviation of ranges, metres; 0: it is estimated.
-    pub(crate) noise_m: f32,
-    /// Neighbours farther apart than this get patches between them, at such distances, …
-    pub(crate) step_m: f32,
-    /// … if they are no farther apart than this (of planes: as seen by the sensor); more, far away: [`widest_gap_m`].
-    pub(crate) max_gap_m: f32,
-}
+use surface::Kind;
 
 /// How rough a surface may be beside the noise (root of the mean of squares), metres.
 pub const ROUGHNESS_M: f32 = 0.01;

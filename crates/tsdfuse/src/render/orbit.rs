@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3};
 
 use super::Renderer;
 use crate::Pose;
-use crate::index::voxel_at;
+use crate::index::{BlockIndex, RegionIndex, voxel_at};
 use crate::sensor::Pinhole;
 
 /// How far down the camera looks.
@@ -17,6 +17,9 @@ const OBLIQUE_RAD: f64 = 0.45;
 
 /// The share of the surface's blocks beyond each side of the box that is shown: what lies far out is sparse.
 const BEYOND: f64 = 0.08;
+
+/// Regions that hold this many times fewer blocks of surface than most blocks' regions do are not dense.
+const DENSE: usize = 3;
 
 /// The share of the image that stays free at its borders.
 const MARGIN: f64 = 0.04;
@@ -42,6 +45,19 @@ pub fn turntable(renderer: &Renderer, camera: &Pinhole, count: usize) -> Vec<Pos
     places.into_iter().map(pose).collect()
 }
 
+/// The blocks of the surface where it is dense: far from the sensor, single specks lie about.
+fn dense(renderer: &Renderer) -> Vec<BlockIndex> {
+    let mut blocks: Vec<BlockIndex> = renderer.surface_blocks().collect();
+    blocks.sort_unstable_by_key(|block| RegionIndex::of(*block));
+    let regions = || blocks.chunk_by(|a, b| RegionIndex::of(*a) == RegionIndex::of(*b));
+    // Half of all blocks lie in regions that hold as many blocks, or more.
+    let mut counts: Vec<usize> = regions().flat_map(|region| std::iter::repeat_n(region.len(), region.len())).collect();
+    counts.sort_unstable();
+    let median = counts.get(counts.len() / 2).copied().unwrap_or_default();
+    let kept = regions().filter(|region| DENSE * region.len() >= median);
+    kept.flatten().copied().collect()
+}
+
 /// A box around nearly all of the surface, upright and turned along its longest extent.
 struct Hull {
     center: DVec3,
@@ -55,7 +71,7 @@ impl Hull {
     fn of(renderer: &Renderer) -> Option<Self> {
         let grid = renderer.map().grid();
         let center = |block| grid.center(voxel_at(block, 0)) + 3.5 * grid.voxel_size_m();
-        let mut points: Vec<DVec3> = renderer.surface_blocks().map(center).collect();
+        let mut points: Vec<DVec3> = dense(renderer).into_iter().map(center).collect();
         let first = *points.first()?;
         // Relative to the first: covariances do not suffer from large coordinates.
         points.iter_mut().for_each(|p| *p -= first);

@@ -98,3 +98,16 @@ impl<'a> Renderer<'a> {
         self.map
     }
 }
+
+/// What a camera sees of a map from a pose (`world_from_camera`); for several views, see [`Renderer`].
+///
+/// # Errors
+/// See [`Renderer::new`] and [`Renderer::view`].
+pub fn render(
+    map: &VoxelMap,
+    camera: &Camera,
+    world_from_camera: Pose,
+    config: &RenderConfig,
+) -> Result<View, RenderError> {
+    Renderer::new(map, config)?.view(camera, world_from_camera)
+}

@@ -8,6 +8,7 @@ use crate::index::{BLOCK_VOXELS, BlockIndex, voxel_at};
 use crate::map::{Block, MapConfig, Voxel, WEIGHT_SCALE};
 use crate::sensor::{Pinhole, SensorModel};
 use crate::{Integrator, Raycast, Scan};
+use crate::{Pose, VoxelMap};
 
 /// A map of the blocks −n..n about a block, with a signed distance (metres) and a weight at each voxel's centre.
 fn map_of(n: i32, about: IVec3, field: impl Fn(DVec3) -> f64, weight: impl Fn(IVec3) -> u32) -> VoxelMap {

@@ -29,11 +29,12 @@ fn scan() -> Scan {
 
 #[test]
 fn all_that_is_updated_lies_within_reach_and_little_else() {
-    let (scan, options) = (scan(), FuseConfig::default());
-    for method in [Method::Raycast, Method::Surfel, Method::Roldao] {
+    let scan = scan();
+    for method in [Method::Raycast, Method::Surfels, Method::Roldao] {
         let mut map = VoxelMap::new(MapConfig::default()).unwrap();
-        let reach = method.reach(&options, map.config(), &scan);
-        let done = method.build(&options, None).integrate(&mut map, &scan).unwrap();
+        let mut integrator = method.build(&FuseConfig::default(), None);
+        let reach = integrator.reach(map.config(), &scan).unwrap();
+        let done = integrator.integrate(&mut map, &scan).unwrap();
         assert!(!done.updated_blocks.is_empty(), "{method:?}");
         let grid = map.grid();
         for &block in &done.updated_blocks {
@@ -64,4 +65,39 @@ fn all_that_is_updated_lies_within_reach_and_little_else() {
         let there = RegionIndex(first + IVec3::new(100, 0, 0));
         assert!(moved.touches(there, grid) && !reach.touches(there, grid));
     }
+}
+
+#[test]
+fn each_method_reaches_as_far_beside_the_returns_as_it_says() {
+    let scan = scan();
+    let far = |method: Method, set: fn(&mut FuseConfig)| {
+        let mut config = FuseConfig::default();
+        set(&mut config);
+        let map = MapConfig::default();
+        let reach = method.build(&config, None).reach(&map, &scan).unwrap();
+        // Regions beyond the wall 60 m ahead that are still touched.
+        let grid = VoxelMap::new(map).unwrap().grid();
+        let ahead = scan.pose.rotation * DVec3::X;
+        let beyond = (0..1000).find(|&k| {
+            let place = reach.center + ahead * (60.0 + f64::from(k));
+            !reach.touches(RegionIndex((place / 3.2).floor().as_ivec3()), grid)
+        });
+        beyond.unwrap()
+    };
+    let rays = far(Method::Raycast, |_| ());
+    assert!(far(Method::Patch, |c| c.patch.max_gap_m = 20.0) > rays + 40);
+    assert!(far(Method::Surfels, |c| c.surfel.finest_cell_m = 20.0) > rays + 40);
+    let mut twisted = scan.clone();
+    twisted.times = Some(vec![0.0]);
+    for &method in Method::ALL {
+        let integrator = method.build(&FuseConfig::default(), None);
+        assert!(integrator.reach(&MapConfig::default(), &twisted).is_err(), "{method:?}");
+    }
+}
+
+#[test]
+fn whether_a_method_needs_the_sensor_is_whether_its_map_depends_on_it() {
+    let needs = |method: Method| method.build(&FuseConfig::default(), None).needs_sensor();
+    let without: Vec<&str> = Method::ALL.iter().filter(|m| !needs(**m)).map(|m| m.name()).collect();
+    assert_eq!(without, ["raycast", "depth", "roldao"]);
 }

@@ -7,8 +7,7 @@ use rustc_hash::FxBuildHasher;
 
 use crate::{
     fuse::placed::Placed,
-    index::{BlockIndex, GridPoint, local_number, round},
-    map::{SHARDS, shard_of},
+    index::{BlockIndex, GridPoint, SHARDS, local_number, round, shard_of},
 };
 
 /// Positions within a cell are rounded to this fraction of its edge (0.1 mm at 5 cm).

@@ -1,0 +1,175 @@
+//! Arguments that several subcommands share: what to fuse, and with what.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use anyhow::{Context, Result};
+use clap::builder::RangedI64ValueParser;
+use glam::DVec3;
+use tsdfuse::MapConfig;
+use tsdfuse::mesh::MeshConfig;
+use tsdfuse::scan::RangeLimits;
+use tsdfuse_io::{
+    DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M, OpenOptions, Selection,
+};
+use tsdfuse_run::{Input, Settings};
+
+/// The log and the settings.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct LogArgs {
+    /// The log; its format (PandaSet, KITTI, a plain folder, RGB-D, ...) is recognised.
+    #[arg(value_name = "LOG")]
+    pub(crate) log: PathBuf,
+    #[arg(long, value_name = "M",
+        help = format!("Edge of a voxel, metres [default: {}, or {DEPTH_CAMERA_VOXEL_SIZE_M} for depth cameras]",
+            MapConfig::default().voxel_size_m))]
+    pub(crate) voxel_size: Option<f64>,
+    #[arg(long, value_name = "M",
+        help = format!("Half the width of the band around the surface, metres [default: {}, or {DEPTH_CAMERA_TRUNCATION_M} for depth cameras]",
+            MapConfig::default().truncation_m))]
+    pub(crate) truncation: Option<f64>,
+    /// Which scans to fuse, counted from 0, TO excluded; every STEP-th of them [default: all].
+    #[arg(long, value_name = "FROM..TO[:STEP]")]
+    pub(crate) scans: Option<Selection>,
+    /// Poses to use instead of the log's own (KITTI or TUM text).
+    #[arg(long, value_name = "FILE")]
+    pub(crate) poses: Option<PathBuf>,
+    /// The sensor: one of several in the log (several with commas are fused together), or the model of the only one
+    /// (pandar64, hdl64e, vlp16, ...).
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    pub(crate) sensor: Vec<String>,
+    #[arg(long, value_name = "M",
+        help = format!("Drop returns nearer than this, metres [default: the log's, or {}]", RangeLimits::default().min_range_m))]
+    pub(crate) min_range: Option<f64>,
+    #[arg(long, value_name = "M",
+        help = format!("Drop returns farther than this, metres [default: the sensor's, {DEPTH_CAMERA_MAX_RANGE_M} for depth cameras, or {}]",
+            RangeLimits::default().max_range_m))]
+    pub(crate) max_range: Option<f64>,
+    /// Threads; their number does not change the result [default: one for each core].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(crate) threads: Option<u16>,
+    #[arg(
+        long,
+        value_name = "W",
+        help = format!("Voxels of less weight do not become surface [default: {}]", MeshConfig::default().min_weight)
+    )]
+    pub(crate) min_weight: Option<f64>,
+    /// Read settings from a TOML file.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Set anything that a --config file can set, for instance raycast.distance=projective.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub(crate) set: Vec<String>,
+    /// Skip scans that cannot be used; they are named, and the exit code is 3.
+    #[arg(long)]
+    pub(crate) skip_bad: bool,
+}
+
+impl LogArgs {
+    /// The log and which of its scans.
+    pub(crate) fn input(&self) -> Input {
+        Input {
+            path: self.log.clone(),
+            options: OpenOptions {
+                poses: self.poses.clone(),
+                sensors: self.sensor.clone(),
+                ..OpenOptions::default()
+            },
+            selection: self.scans.clone().unwrap_or_default(),
+            skip_bad: self.skip_bad,
+        }
+    }
+
+    /// All that is set: the file < `--set` < flags.
+    pub(crate) fn settings(&self, method: Option<&str>) -> Result<Settings> {
+        let file = self.config.as_deref().map(Settings::read).transpose()?;
+        let mut settings = file.unwrap_or_default();
+        for setting in &self.set {
+            settings.set_text(setting)?;
+        }
+        if let Some(method) = method {
+            settings.set("--method", "method", method)?;
+        }
+        let numbers = [
+            ("--voxel-size", "map.voxel_size_m", self.voxel_size),
+            ("--truncation", "map.truncation_m", self.truncation),
+            ("--min-range", "range.min_range_m", self.min_range),
+            ("--max-range", "range.max_range_m", self.max_range),
+            ("--min-weight", "mesh.min_weight", self.min_weight),
+        ];
+        for (flag, key, value) in numbers {
+            if let Some(value) = value {
+                settings.set(flag, key, value)?;
+            }
+        }
+        Ok(settings)
+    }
+
+    pub(crate) fn set_threads(&self) -> Result<()> {
+        let Some(threads) = self.threads else { return Ok(()) };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into());
+        pool.build_global().with_context(|| format!("--threads {threads}"))
+    }
+}
+
+/// What `--hold-out` may be.
+pub(crate) fn hold_out_range() -> RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(2..)
+}
+
+/// Three numbers with commas between them.
+pub(crate) fn parse_triple(text: &str) -> Result<DVec3, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, z]) if DVec3::new(x, y, z).is_finite() => Ok(DVec3::new(x, y, z)),
+        _ => Err("three numbers with commas between them are wanted, as in 691000,5335000,520".to_owned()),
+    }
+}
+
+/// Bytes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Memory(pub(crate) usize);
+
+impl FromStr for Memory {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wanted = || "a size is wanted, as in 512M or 8G".to_owned();
+        let units = [('K', 10), ('M', 20), ('G', 30), ('T', 40)];
+        let unit = units
+            .iter()
+            .find(|(unit, _)| text.to_ascii_uppercase().ends_with(*unit));
+        let number = unit.map_or(text, |_| &text[..text.len() - 1]);
+        let bytes =
+            number.trim().parse::<f64>().map_err(|_| wanted())? * unit.map_or(1.0, |(_, bits)| f64::from(*bits).exp2());
+        if bytes >= f64::from(1 << 20) && bytes < f64::from(1 << 30) * 1e6 {
+            Ok(Self(bytes as usize))
+        } else {
+            Err("at least 1M is wanted".to_owned())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn triples_are_three_numbers() {
+        assert_eq!(parse_triple("1, -2,3e5"), Ok(DVec3::new(1.0, -2.0, 3e5)));
+        for bad in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
+            assert!(parse_triple(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn sizes_have_units() {
+        let bytes = |text: &str| text.parse::<Memory>().map(|m| m.0);
+        assert_eq!(bytes("512M"), Ok(512 << 20));
+        assert_eq!(bytes("1.5g"), Ok(3 << 29));
+        assert_eq!(bytes("2000000"), Ok(2_000_000));
+        for bad in ["", "M", "-1G", "5", "nanG", "1e30G", "G5"] {
+            assert!(bytes(bad).is_err(), "{bad}");
+        }
+    }
+}

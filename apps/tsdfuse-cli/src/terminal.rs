@@ -1,0 +1,180 @@
+//! What people see of a run: bars on a terminal, notes, and a few lines in the end.
+
+use indicatif::{BinaryBytes, HumanCount, ProgressBar};
+use tsdfuse_run::report::{
+    FinishReport, MapReport, MeshReport, PagingReport, Report, SavedMap, TilesReport, Totals, ViewReport,
+};
+use tsdfuse_run::{Event, Observer};
+
+use crate::progress::{self, note, say};
+
+/// Shows a run.
+#[derive(Default)]
+pub(crate) struct Terminal {
+    bar: Option<ProgressBar>,
+    /// Scans that were read but are neither fused nor skipped yet move the bar once.
+    is_resumed: bool,
+}
+
+impl Terminal {
+    /// Of a run that goes on.
+    pub(crate) fn resumed() -> Self {
+        Self {
+            is_resumed: true,
+            ..Self::default()
+        }
+    }
+
+    /// Writes a line above the bar.
+    fn line(&self, line: std::fmt::Arguments<'_>) {
+        match &self.bar {
+            Some(bar) => bar.suspend(|| say(line)),
+            None => say(line),
+        }
+    }
+}
+
+impl Observer for Terminal {
+    fn on(&mut self, event: Event<'_>) {
+        match event {
+            Event::Begun { scans, done, .. } => {
+                if self.is_resumed {
+                    let asked = scans.map_or("the".to_owned(), |scans| scans.to_string());
+                    say(format_args!("going on after {done} of {asked} scans"));
+                }
+                self.bar = Some(progress::scans("fusing", scans.map(|scans| scans.saturating_sub(done))));
+            }
+            Event::ScanFused { .. } => self.bar.iter().for_each(|bar| bar.inc(1)),
+            Event::ScanSkipped { skipped, .. } => {
+                self.bar.iter().for_each(|bar| bar.inc(1));
+                let (name, reason) = (&skipped.name, &skipped.reason);
+                self.line(format_args!("tsdfuse: warning: {name} is skipped: {reason}"));
+            }
+            Event::MapStored { path, done, asked } => {
+                let asked = asked.map_or(String::new(), |asked| format!(" of {asked}"));
+                self.line(format_args!("  stored   {done}{asked} scans in {}", path.display()));
+            }
+            Event::OverLimit { bytes } => self.line(format_args!(
+                "tsdfuse: note: --memory: what a scan can touch takes more, {}",
+                BinaryBytes(bytes as u64)
+            )),
+            Event::Working(doing) => self.bar = Some(progress::working(doing.to_owned())),
+            Event::Note(sentence) => self.line(format_args!("tsdfuse: note: {sentence}")),
+            Event::Done { stopped } => {
+                self.bar = None;
+                if stopped {
+                    note("stopped: the scans so far are in the result");
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// The few lines for people about a run.
+pub(crate) fn summarize(report: &Report) {
+    let Totals {
+        scans,
+        sums,
+        finish,
+        seconds,
+    } = &report.totals;
+    let on = report.device.as_ref().map_or(String::new(), |device| format!(" on {device}"));
+    // After a resume, only the scans of this process took this time.
+    let (fused_here, earlier) = (report.scans.len(), scans - report.scans.len());
+    let rate = fused_here as f64 / seconds;
+    if earlier == 0 {
+        say(format_args!("{scans} scans fused in {seconds:.2} s, {rate:.1} scans/s{on}"));
+    } else if fused_here == 0 {
+        say(format_args!("{scans} scans were fused before{on}"));
+    } else {
+        say(format_args!(
+            "{scans} scans fused, {fused_here} of them now in {seconds:.2} s, {rate:.1} scans/s{on}"
+        ));
+    }
+    let (points, fused) = (HumanCount(sums.points), HumanCount(sums.fused));
+    say(format_args!("  points   {fused} of {points} fused{}", sums.left_out()));
+    map(&report.map, report.peak_memory_bytes);
+    let (saved, mesh) = (report.saved_map.as_ref(), report.mesh.as_ref());
+    mesh.inspect(|report| self::mesh(report));
+    say(format_args!(
+        "  seconds  read {:.2} (in the background), prepare {:.2}, fuse {:.2}{}{}{}{}; in all {:.2}",
+        sums.read,
+        sums.prepare,
+        sums.fuse,
+        match finish {
+            FinishReport { updated_blocks: 0, .. } => String::new(),
+            FinishReport { seconds, .. } => format!(", finish {seconds:.2}"),
+        },
+        saved.map_or(String::new(), |map| format!(", save map {:.2}", map.seconds)),
+        report.growth.as_ref().map_or(String::new(), |growth| format!(
+            ", {} meshes on the way {:.2}",
+            growth.meshes, growth.seconds
+        )),
+        mesh.map_or(String::new(), |mesh| format!(
+            ", mesh {:.2}, write {:.2}",
+            mesh.seconds, mesh.write_seconds
+        )),
+        report.wall_seconds
+    ));
+    saved.inspect(|map| saved_map(map));
+    mesh.inspect(|mesh| mesh_file(mesh));
+    report.preview.as_ref().inspect(|view| pictures(view));
+}
+
+/// A line about a map.
+pub(crate) fn map(report: &MapReport, peak_memory_bytes: Option<u64>) {
+    say(format_args!(
+        "  map      {} blocks, {} voxels observed, {}{}",
+        HumanCount(report.blocks as u64),
+        HumanCount(report.observed_voxels as u64),
+        BinaryBytes(report.bytes as u64),
+        peak_memory_bytes.map_or(String::new(), |bytes| format!("; peak memory {}", BinaryBytes(bytes)))
+    ));
+}
+
+/// A line about a saved map.
+pub(crate) fn saved_map(SavedMap { path, bytes, .. }: &SavedMap) {
+    say(format_args!("  wrote    {}, {}", path.display(), BinaryBytes(*bytes)));
+}
+
+/// A line or two about a surface.
+pub(crate) fn mesh(report: &MeshReport) {
+    let count = |n: usize| HumanCount(n as u64);
+    let (vertices, triangles) = (count(report.vertices), count(report.triangles));
+    say(format_args!("  mesh     {triangles} triangles, {vertices} vertices"));
+    if let Some(TilesReport { tiles, levels, bytes }) = report.tiles {
+        let (tiles, bytes) = (count(tiles), BinaryBytes(bytes));
+        say(format_args!("  tiles    {tiles} in {levels} levels, {bytes}"));
+    }
+}
+
+/// A line that says where a mesh lies, if it is a file.
+pub(crate) fn mesh_file(report: &MeshReport) {
+    if report.path.as_os_str() != "-" {
+        say(format_args!("  wrote    {}", report.path.display()));
+    }
+}
+
+/// A line for each picture.
+pub(crate) fn pictures(view: &ViewReport) {
+    view.files
+        .iter()
+        .for_each(|file| say(format_args!("  wrote    {}", file.display())));
+}
+
+/// A line about paging, on a drive of this length.
+pub(crate) fn paging(report: &PagingReport, length_km: f64) -> String {
+    let bytes = |bytes: usize| BinaryBytes(bytes as u64);
+    format!(
+        "blocks in memory: {} at most, {} wanted; file: {} ({} per km); paging {:.1} s, commits {:.1} s\n",
+        bytes(report.most_bytes),
+        report
+            .limit_bytes
+            .map_or_else(|| "all".to_owned(), |limit| bytes(limit).to_string()),
+        bytes(report.store_bytes as usize),
+        bytes((report.store_bytes as f64 / length_km) as usize),
+        report.paging_seconds,
+        report.commit_seconds,
+    )
+}

@@ -1,0 +1,188 @@
+//! One part of the block table: regions by hash, and the blocks of each.
+//!
+//! The table is split into [`SHARDS`](crate::index::SHARDS) parts by the spatial hash (5.1). Only one thread at a time touches a
+//! part, so there are neither locks nor atomics (see [`crate::fuse`]).
+
+use std::sync::Arc;
+
+use glam::IVec3;
+use hashbrown::HashMap;
+use rustc_hash::FxBuildHasher;
+
+use super::block::Block;
+use crate::{
+    index::{BlockIndex, REGION_BLOCKS, block_of_region, in_region},
+    memory::{Blocks, Pool, SLAB_BLOCKS},
+};
+
+/// The slot of a block that is not there.
+pub(crate) const NO_SLOT: u32 = u32::MAX;
+
+/// One part of the block table.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Shard {
+    /// The number of each region that holds a block, or could have got one.
+    pub(super) numbers: HashMap<IVec3, u32, FxBuildHasher>,
+    pub(super) regions: Vec<Region>,
+    pub(super) blocks: Blocks,
+}
+
+/// Where the blocks of a region are: neighbours are found without hashing, and near each other in memory.
+#[derive(Clone, Debug)]
+pub(super) struct Region {
+    pub(super) index: IVec3,
+    /// The slots of its blocks, or [`NO_SLOT`].
+    pub(super) slots: [u32; REGION_BLOCKS],
+    /// How many there are, and the slot of the one that was made last. They lie in slabs that are this region's alone.
+    pub(super) blocks: u32,
+    pub(super) last: u32,
+    /// The integration that updated it last, and a bit for each block that it updated.
+    stamp: u32,
+    updated: [u64; REGION_BLOCKS / 64],
+}
+
+impl Region {
+    fn new(index: IVec3) -> Self {
+        Self {
+            index,
+            slots: [NO_SLOT; REGION_BLOCKS],
+            blocks: 0,
+            last: NO_SLOT,
+            stamp: 0,
+            updated: [0; REGION_BLOCKS / 64],
+        }
+    }
+
+    /// The slot of a block, which is made if it is not there.
+    #[inline]
+    fn slot_or_insert(&mut self, block: usize, blocks: &mut Blocks) -> u32 {
+        let slot = &mut self.slots[block];
+        if *slot == NO_SLOT {
+            self.last = if (self.blocks as usize).is_multiple_of(SLAB_BLOCKS) {
+                blocks.push()
+            } else {
+                self.last + 1
+            };
+            self.blocks += 1;
+            *slot = self.last;
+        }
+        *slot
+    }
+
+    /// Its blocks: numbers in the region, and slots.
+    pub(super) fn there(&self) -> impl Iterator<Item = (usize, u32)> {
+        let slots = self.slots.iter().copied().enumerate();
+        slots.filter(|(_, slot)| *slot != NO_SLOT)
+    }
+}
+
+impl Shard {
+    /// An empty one, whose blocks come from a pool.
+    pub(super) fn of(pool: &Arc<Pool>) -> Self {
+        Self {
+            blocks: Blocks::of(pool),
+            ..Self::default()
+        }
+    }
+
+    /// The slot of a block, which is made if it is not there.
+    pub(crate) fn slot_or_insert(&mut self, index: BlockIndex) -> u32 {
+        let (region, block) = in_region(index);
+        let number = self.number_or_insert(region);
+        self.regions[number].slot_or_insert(block, &mut self.blocks)
+    }
+
+    /// The number of a region, which is made if it is not there.
+    pub(super) fn number_or_insert(&mut self, index: IVec3) -> usize {
+        *self.numbers.entry(index).or_insert_with(|| {
+            self.regions.push(Region::new(index));
+            (self.regions.len() - 1) as u32
+        }) as usize
+    }
+
+    /// The slot of a block, if it is there.
+    #[inline]
+    pub(super) fn slot(&self, index: BlockIndex) -> Option<u32> {
+        let (region, block) = in_region(index);
+        let slot = self.region(region)?[block];
+        (slot != NO_SLOT).then_some(slot)
+    }
+
+    /// The number of a region that integration number `stamp` updates.
+    pub(crate) fn region_to_update(&mut self, index: IVec3, stamp: u32) -> usize {
+        let number = self.number_or_insert(index);
+        let region = &mut self.regions[number];
+        if region.stamp != stamp {
+            region.stamp = stamp;
+            region.updated = [0; REGION_BLOCKS / 64];
+        }
+        number
+    }
+
+    /// The slot of a block that this integration now updates; the first time, the block is added to `touched`.
+    pub(crate) fn slot_to_update(&mut self, number: usize, block: usize, touched: &mut Vec<BlockIndex>) -> u32 {
+        let region = &mut self.regions[number];
+        let slot = region.slot_or_insert(block, &mut self.blocks);
+        let (word, bit) = (&mut region.updated[block / 64], 1 << (block % 64));
+        if *word & bit == 0 {
+            *word |= bit;
+            touched.push(block_of_region(region.index, block));
+        }
+        slot
+    }
+
+    /// Visits all blocks of some regions, and tells of each whether integration number `stamp` updated it.
+    pub(crate) fn for_each_block_mut(
+        &mut self,
+        stamp: u32,
+        is_wanted: impl Fn(IVec3) -> bool,
+        mut visit: impl FnMut(BlockIndex, bool, &mut Block),
+    ) {
+        for region in self.regions.iter().filter(|region| is_wanted(region.index)) {
+            for (number, slot) in region.there() {
+                let updated = region.stamp == stamp && region.updated[number / 64] >> (number % 64) & 1 == 1;
+                visit(
+                    block_of_region(region.index, number),
+                    updated,
+                    &mut self.blocks[slot as usize],
+                );
+            }
+        }
+    }
+
+    /// The indices of all blocks, in any order.
+    pub(crate) fn indices(&self) -> impl Iterator<Item = BlockIndex> {
+        let regions = self.regions.iter();
+        regions.flat_map(|region| region.there().map(|(number, _)| block_of_region(region.index, number)))
+    }
+
+    pub(super) fn block_count(&self) -> usize {
+        self.regions.iter().map(|region| region.blocks as usize).sum()
+    }
+
+    /// The slots of a region's blocks, or [`NO_SLOT`]; `None` if it never had any.
+    #[inline]
+    pub(crate) fn region(&self, region: IVec3) -> Option<&[u32; REGION_BLOCKS]> {
+        self.numbers.get(&region).map(|&n| &self.regions[n as usize].slots)
+    }
+
+    /// All blocks, by slot.
+    #[inline]
+    pub(crate) fn blocks(&self) -> &Blocks {
+        &self.blocks
+    }
+
+    /// All blocks, by slot.
+    #[inline]
+    pub(crate) fn blocks_mut(&mut self) -> &mut Blocks {
+        &mut self.blocks
+    }
+
+    /// Limits the weights in one block.
+    pub(crate) fn limit_weights(&mut self, slot: u32, max_sum: u32) {
+        self.blocks[slot as usize]
+            .voxels
+            .iter_mut()
+            .for_each(|v| v.limit(max_sum));
+    }
+}
