@@ -62,6 +62,8 @@ pub struct Evaluation {
     pub views: Vec<[DVec3; 2]>,
     /// The error at the bright end of the colours, metres.
     pub max_error_m: f64,
+    /// The file that some of the settings were read from, which no result may overwrite.
+    pub config_file: Option<PathBuf>,
     /// The folder for the results.
     pub output: Option<PathBuf>,
     /// Whether meshes stay there.
@@ -97,6 +99,7 @@ impl Evaluation {
             runs: 3,
             views: Vec::new(),
             max_error_m: 0.05,
+            config_file: None,
             output: None,
             keep_meshes: false,
             command_line: Vec::new(),
@@ -177,7 +180,7 @@ impl<'a> Workplace<'a> {
         let margin_m = asked.margin_m.unwrap_or(log.suggested().map.truncation_m);
         let held_out = HeldOutScans::of(&selection, scans, margin_m, input.skip_bad);
         if let Some(output) = &asked.output {
-            let others = [&input.options.poses, &asked.comparing.reference];
+            let others = [&input.options.poses, &asked.comparing.reference, &asked.config_file];
             let others = others.into_iter().flatten().map(PathBuf::as_path);
             let inputs: Vec<&Path> = std::iter::once(input.path.as_path()).chain(others).collect();
             Folder::check(output, &asked.files(), &inputs)?;

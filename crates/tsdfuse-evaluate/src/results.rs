@@ -110,7 +110,7 @@ impl Speed {
     /// The speed of a run.
     pub fn of(report: &Report) -> Self {
         let scans = &report.scans;
-        let of = |secs: fn(&ScanReport) -> f64| median(&scans.iter().map(secs).collect::<Vec<_>>());
+        let of = |secs: fn(&ScanReport) -> f64| median(scans.iter().map(secs));
         let finish = report.totals.finish.seconds / scans.len().max(1) as f64;
         Self {
             scans_per_sec: 1.0 / (of(scan_secs) + finish),

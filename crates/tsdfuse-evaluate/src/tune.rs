@@ -324,7 +324,7 @@ impl Search<'_> {
                 self.skipped.push(skipped.clone());
             }
         }
-        let totals = session.totals();
+        let (totals, command) = (session.totals(), self.command(candidate)?);
         let fusing = totals.sums.prepare + totals.sums.fuse + totals.finish.seconds;
         Ok(collector.result().map(|held_out| Score {
             name: form.name.clone(),
@@ -332,7 +332,7 @@ impl Search<'_> {
             truncation_m: config.map.truncation_m,
             secs_per_scan: fusing / totals.scans.max(1) as f64,
             held_out,
-            command: self.command(candidate).unwrap_or_default(),
+            command,
         }))
     }
 
