@@ -1,0 +1,24 @@
+//! This machine in numbers: what each stage takes, and how far that is from what its memory allows.
+
+mod changes;
+mod compare;
+mod drive;
+#[cfg(feature = "gpu")]
+mod gpu;
+mod limits;
+mod long_drive;
+mod pieces;
+mod results;
+mod run;
+mod street;
+mod table;
+
+pub use changes::Changes;
+pub use compare::Bench;
+#[cfg(feature = "gpu")]
+pub use gpu::{GpuResults, Kernel, MeasuredGpu, on_gpu};
+pub use limits::Limits;
+pub use long_drive::{LongDrive, LongDriveResults, Pass, Stored};
+pub use results::{Data, Measured, Results};
+pub use run::Run;
+pub use street::STREET;

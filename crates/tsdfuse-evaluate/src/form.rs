@@ -1,0 +1,195 @@
+//! What is compared: methods, each with settings of its own.
+
+use serde::Serialize;
+use tsdfuse::fuse::Method;
+use tsdfuse_run::Settings;
+
+use crate::error::{Error, Result};
+
+/// A method with settings of its own: a row of the tables.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Form {
+    /// Its name in the tables.
+    pub name: String,
+    /// The method.
+    pub method: Method,
+    /// `key=value`, as [`Settings::set_text`] takes it. Empty: the method's default form.
+    pub settings: Vec<String>,
+}
+
+/// Forms of a method other than its default.
+const NOTABLE: [(Method, &str, &str); 5] = [
+    (Method::Raycast, "projective", "raycast.distance=projective"),
+    (Method::Normals, "holz", "normals.estimator=holz"),
+    (Method::Surfel, "ground-flip", "surfel.ground_flip=true"),
+    // Discs of 1 σ, as the text of the thesis says.
+    (Method::Surfel, "literal", "surfel.radius_sigmas=1"),
+    (Method::Roldao, "streaming", "roldao.form=streaming"),
+];
+
+/// The name that stands for all of them.
+const ALL: &str = "all";
+
+impl Form {
+    /// All methods, each followed by its notable forms.
+    pub fn all() -> Vec<Self> {
+        let forms = Method::ALL.iter().flat_map(|&method| {
+            let default = Self {
+                name: method.name().to_owned(),
+                method,
+                settings: Vec::new(),
+            };
+            let others = NOTABLE.iter().filter(move |other| other.0 == method);
+            std::iter::once(default).chain(others.map(|(method, name, setting)| Self {
+                name: format!("{}-{name}", method.name()),
+                method: *method,
+                settings: vec![(*setting).to_owned()],
+            }))
+        });
+        forms.collect()
+    }
+
+    /// The names of all of them.
+    pub fn names() -> Vec<String> {
+        Self::all().into_iter().map(|form| form.name).collect()
+    }
+
+    /// Reads `METHOD:KEY=VALUE[,KEY=VALUE]`.
+    fn parse(text: &str) -> Result<Self> {
+        let wanted = || {
+            Error::config(format_args!(
+                "--method-set {text}: METHOD:KEY=VALUE[,KEY=VALUE] is wanted, as in raycast:raycast.distance=projective"
+            ))
+        };
+        let (method, settings) = text.split_once(':').ok_or_else(wanted)?;
+        let settings: Vec<String> = settings.split(',').map(|s| s.trim().to_owned()).collect();
+        if settings.iter().any(|s| !s.contains('=')) {
+            return Err(wanted());
+        }
+        let wrong = |error| Error::config(format_args!("--method-set {text}: {error}"));
+        Ok(Self {
+            name: text.to_owned(),
+            method: method.trim().parse().map_err(wrong)?,
+            settings,
+        })
+    }
+
+    /// The forms with these names, then those that are written out as `METHOD:KEY=VALUE[,KEY=VALUE]`. `all` stands for all
+    /// names, and so do two empty lists.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for an unknown name, and for a form that is asked for twice.
+    pub fn chosen<T: AsRef<str>>(names: &[T], written_out: &[T]) -> Result<Vec<Self>> {
+        let mut names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
+        if names.is_empty() && written_out.is_empty() {
+            names.push(ALL);
+        }
+        let all = Self::all();
+        let mut chosen: Vec<Self> = Vec::new();
+        for name in names {
+            let count = chosen.len();
+            chosen.extend(all.iter().filter(|form| name == ALL || form.name == name).cloned());
+            if chosen.len() == count {
+                let known = Self::names().join(", ");
+                return Err(Error::config(format_args!(
+                    "no method {name}; there are all, {known}"
+                )));
+            }
+        }
+        for text in written_out {
+            chosen.push(Self::parse(text.as_ref())?);
+        }
+        match (1..chosen.len()).find(|&i| chosen[..i].contains(&chosen[i])) {
+            Some(twice) => Err(Error::config(format_args!(
+                "{} is asked for twice",
+                chosen[twice].name
+            ))),
+            None => Ok(chosen),
+        }
+    }
+
+    /// Settings with this method and its own settings on top.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a key or value that does not exist.
+    pub fn over(&self, settings: &Settings) -> Result<Settings> {
+        let mut settings = settings.clone();
+        settings.set("--method", "method", self.method.name())?;
+        self.settings.iter().try_for_each(|text| settings.set_text(text))?;
+        Ok(settings)
+    }
+
+    /// Its name as the name of a file.
+    pub fn file_stem(&self) -> String {
+        let keep = |c: char| {
+            if c.is_ascii_alphanumeric() || "-.=".contains(c) {
+                c
+            } else {
+                '_'
+            }
+        };
+        self.name.chars().map(keep).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chosen(names: &[&str], written_out: &[&str]) -> Result<Vec<String>, String> {
+        let forms = Form::chosen(names, written_out).map_err(|e| e.to_string())?;
+        Ok(forms.into_iter().map(|form| form.name).collect())
+    }
+
+    #[test]
+    fn forms_are_chosen_by_name_or_written_out() {
+        let all = chosen(&[], &[]).unwrap();
+        assert_eq!(all.len(), Method::ALL.len() + NOTABLE.len());
+        assert_eq!(chosen(&["all"], &[]).unwrap(), all);
+        assert_eq!(
+            chosen(&["normals", "raycast-projective"], &[]).unwrap(),
+            ["normals", "raycast-projective"]
+        );
+        let written = "raycast:raycast.distance=projective,map.max_weight=9";
+        assert_eq!(chosen(&[], &[written]).unwrap(), [written]);
+        assert_eq!(chosen(&["surfel"], &[written]).unwrap(), ["surfel", written]);
+        let form = Form::parse(written).unwrap();
+        assert_eq!(form.file_stem(), "raycast_raycast.distance=projective_map.max_weight=9");
+    }
+
+    #[test]
+    fn a_form_goes_before_other_settings() {
+        let mut settings = Settings::default();
+        settings.set_text("map.max_weight=3").unwrap();
+        settings.set_text("method=normals").unwrap();
+        let form = Form::parse("raycast:raycast.distance=projective,map.max_weight=9").unwrap();
+        let mut texts = form.over(&settings).unwrap().texts();
+        texts.sort();
+        assert_eq!(
+            texts,
+            ["map.max_weight=9", "method=raycast", "raycast.distance=projective"]
+        );
+        for form in Form::all() {
+            form.over(&settings).unwrap();
+        }
+        let wrong = Form::parse("raycast:raycast.distance=far").unwrap();
+        assert!(matches!(wrong.over(&settings), Err(Error::Config(_))));
+    }
+
+    #[test]
+    fn what_is_not_a_form_is_named() {
+        let told = chosen(&["magic"], &[]).unwrap_err();
+        assert!(
+            told.starts_with("no method magic; there are all, raycast, raycast-projective, normals"),
+            "{told}"
+        );
+        let wrong = |text: &str| chosen(&[], &[text]).unwrap_err();
+        assert!(wrong("raycast").contains("METHOD:KEY=VALUE[,KEY=VALUE] is wanted"));
+        assert!(wrong("raycast:x").contains("is wanted"));
+        assert!(wrong("magic:a=b").contains("--method-set magic:a=b: no method magic"));
+        assert_eq!(
+            chosen(&["surfel", "surfel"], &[]).unwrap_err(),
+            "surfel is asked for twice"
+        );
+    }
+}
