@@ -6,10 +6,11 @@ use glam::{DMat3, DVec2, DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::{
-    fuse::{FuseConfig, Method},
+    fuse::{FuseConfig, FuseError, Method},
     index::{Grid, RegionIndex},
     map::{MapConfig, REGION_SHIFT},
     patch::widest_gap_m,
+    pose::Pose,
     scan::Scan,
     sensor::approx::atan2_f32,
     surfel::SurfelConfig,
@@ -48,17 +49,21 @@ const TRUNCATIONS: f64 = 4.0;
 
 impl Method {
     /// What fusing a scan into a map can touch. Returns beyond the scan's range limits must have been dropped.
-    pub fn reach(self, config: &FuseConfig, map: &MapConfig, scan: &Scan) -> Reach {
-        let (way_m, turn_rad) = motion(scan);
-        let (farthest_m, sectors_m) = farthest(scan);
+    ///
+    /// # Errors
+    /// [`FuseError::Scan`] for a scan without a pose.
+    pub fn reach(self, config: &FuseConfig, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
+        let pose = scan.world_from_sensor()?;
+        let (way_m, turn_rad) = motion(scan, &pose);
+        let (farthest_m, sectors_m) = farthest(scan, &pose);
         let beside_m = match self {
             Self::Surfel => disc_m(&config.surfel, f64::from(farthest_m)),
             Self::Patch => f64::from(widest_gap_m(config.patch.max_gap_m, farthest_m)),
             _ => 0.0,
         };
         let wider = ((turn_rad + HOLES_RAD) / SECTOR_RAD).ceil() as usize + 1;
-        Reach {
-            center: scan.pose.translation,
+        Ok(Reach {
+            center: pose.translation,
             radius_m: FACTOR * f64::from(farthest_m),
             sectors_m: std::array::from_fn(|sector| {
                 let beside = (0..=2 * wider.min(SECTORS / 2)).map(|k| (sector + SECTORS + k - wider) % SECTORS);
@@ -69,7 +74,7 @@ impl Method {
                 + TRUNCATIONS * map.truncation_m
                 + beside_m
                 + FACTOR * way_m,
-        }
+        })
     }
 }
 
@@ -83,25 +88,33 @@ fn disc_m(config: &SurfelConfig, range_m: f64) -> f64 {
 }
 
 /// How far the sensor was from its pose while it measured, and how much it was turned.
-fn motion(scan: &Scan) -> (f64, f64) {
+fn motion(scan: &Scan, pose: &Pose) -> (f64, f64) {
     let times = scan.times.iter().flatten().copied().filter(|t| t.is_finite());
     let range = times.fold(None, |range: Option<(f32, f32)>, t| {
         let (low, high) = range.unwrap_or((t, t));
         Some((low.min(t), high.max(t)))
     });
-    // At constant velocity it is farthest at the first or the last return.
-    scan.trajectory()
-        .zip(range)
-        .map_or((0.0, 0.0), |(trajectory, (low, high))| {
-            let [a, b] = [low, high].map(|t| trajectory.relative_at(f64::from(t)));
-            let turn = |rotation: glam::DQuat| rotation.angle_between(scan.pose.rotation);
-            (a.1.length().max(b.1.length()), turn(a.0).max(turn(b.0)))
+    let Some((sweep, (low, high))) = scan.sweep().zip(range) else {
+        return (0.0, 0.0);
+    };
+    // At constant velocity it is farthest at the first or the last return, or where the velocity changes.
+    let (low, high) = (f64::from(low), f64::from(high));
+    let between = sweep.knots().filter(|t| (low..high).contains(t));
+    [low, high]
+        .into_iter()
+        .chain(between)
+        .fold((0.0, 0.0), |(way_m, turn_rad): (f64, f64), secs| {
+            let (rotation, shift) = sweep.relative_at(secs);
+            (
+                way_m.max(shift.length()),
+                turn_rad.max(rotation.angle_between(pose.rotation)),
+            )
         })
 }
 
 /// The range of the farthest return, and from above in each sector.
-fn farthest(scan: &Scan) -> (f32, [f32; SECTORS]) {
-    let rotation = DMat3::from_quat(scan.pose.rotation).as_mat3();
+fn farthest(scan: &Scan, pose: &Pose) -> (f32, [f32; SECTORS]) {
+    let rotation = DMat3::from_quat(pose.rotation).as_mat3();
     let of = |points: &[Vec3]| {
         let (mut farthest, mut sectors) = (0.0f32, [0.0f32; SECTORS]);
         for point in points.iter().map(|p| rotation * p) {

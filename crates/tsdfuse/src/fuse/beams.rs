@@ -5,8 +5,16 @@ use std::borrow::Cow;
 use super::FuseError;
 use crate::{
     scan::Scan,
-    sensor::{SensorModel, grid_of, guess, rings_of},
+    sensor::{SensorModel, grid_of, guess, recover_rings},
 };
+
+/// The rings of a scan: its own, or recovered ones.
+pub fn rings_of<'a>(scan: &'a Scan, model: &SensorModel) -> Cow<'a, [u16]> {
+    match &scan.rings {
+        Some(rings) => Cow::Borrowed(rings),
+        None => Cow::Owned(recover_rings(&scan.points, model).rings),
+    }
+}
 
 /// A sensor's model, once it is known.
 #[derive(Debug, Default)]
@@ -54,5 +62,25 @@ impl Beams {
                 Ok((Cow::Owned(grid), rings.into()))
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::{model, testing::scan_room};
+
+    #[test]
+    fn the_scan_s_own_rings_come_first() {
+        let model = model("vlp16").unwrap();
+        let (points, rings) = scan_room(&model, |_| 0.0);
+        let mut scan = Scan {
+            points,
+            rings: Some(vec![7; rings.len()]),
+            ..Default::default()
+        };
+        assert!(rings_of(&scan, &model).iter().all(|&r| r == 7));
+        scan.rings = None;
+        assert!(*rings_of(&scan, &model) == *rings);
     }
 }

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use super::{
     FuseError, Integration, Integrator, Skipped,
-    beams::Beams,
+    beams::{Beams, rings_of},
     centers::{Centers, depths_at},
     depth::world_axes,
     gather::{Gather, Near, ROW, Skip, Updates},
@@ -29,7 +29,7 @@ use crate::{
     index::{Anchor, BLOCK_EDGE, BlockIndex},
     map::{MapConfig, VoxelMap},
     scan::Scan,
-    sensor::{Cylindrical, CylindricalPoint, PART, SensorModel, approx::sin_cos, rings_of},
+    sensor::{Cylindrical, CylindricalPoint, PART, SensorModel, approx::sin_cos},
 };
 
 /// The integrator of dense cylindrical depth images.
@@ -65,7 +65,7 @@ impl Integrator for Kuehner {
         scan.check()?;
         let sensor = self.beams.of(scan)?;
         let rings = rings_of(scan, sensor);
-        let world_from_sensor = world_axes(scan);
+        let world_from_sensor = world_axes(scan)?;
         let buffers = (std::mem::take(&mut self.depths_m), std::mem::take(&mut self.rings));
         let (anchor, mut image) = rayon::join(
             || placed.place(grid, scan),

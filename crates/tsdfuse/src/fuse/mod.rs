@@ -26,7 +26,7 @@ pub mod twin;
 
 use serde::{Deserialize, Serialize};
 
-pub use beams::Beams;
+pub use beams::{Beams, rings_of};
 pub use caminal::{Caminal, CaminalConfig};
 pub use cylindrical::Cylindrical;
 pub use depth::Depth;

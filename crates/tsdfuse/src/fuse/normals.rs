@@ -13,7 +13,7 @@ use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
 
 use super::{
     FuseError, Integration, Integrator,
-    beams::Beams,
+    beams::{Beams, rings_of},
     cylinder::{Row, VOXEL_RADIUS},
     gather::Skip,
     lines::{Line, Lines, Rule, Shape},
@@ -24,7 +24,7 @@ use crate::{
     memory::prefetch,
     normals::{Normal, NormalsConfig, estimate},
     scan::Scan,
-    sensor::{ScanImage, SensorModel, approx::acos_f32, rings_of},
+    sensor::{ScanImage, SensorModel, approx::acos_f32},
 };
 
 /// The integrator along local surface normals.

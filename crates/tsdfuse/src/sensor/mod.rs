@@ -10,6 +10,7 @@ mod image;
 mod order;
 mod pinhole;
 mod projection;
+mod recovery;
 mod rings;
 mod tables;
 #[cfg(test)]
@@ -26,7 +27,8 @@ pub use image::{PHASE_BINS, SAME_FIRING, ring_gap_tangents};
 pub use order::{OrderedRings, rings_by_order};
 pub use pinhole::{MAX_IMAGE_EDGE, Pinhole, PinholeError};
 pub use projection::{Pixel, Projection};
-pub use rings::{NO_RING, RingRecovery, RingSource, recover_rings, rings_of, sort_rings};
+pub use recovery::recover_rings;
+pub use rings::{NO_RING, RingRecovery, RingSource, sort_rings};
 pub use tables::{model, names};
 pub(crate) use unorganized::grid_of;
 

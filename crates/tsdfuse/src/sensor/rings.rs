@@ -3,17 +3,13 @@
 //! Every laser of a rotating sensor keeps its elevation, so a return's elevation tells its laser, if the return is given
 //! in the sensor frame at its own time. What remains of the vehicle's wobble within a sweep looks like a small tilt of
 //! the sensor; it is estimated and taken out (on PandaSet it reaches 0.05°, a third of the beam spacing). Where
-//! elevations are not sharp, the order of the points may tell instead: see [`rings_by_order`].
-
-use std::borrow::Cow;
+//! elevations are not sharp, the order of the points may tell instead: see [`super::rings_by_order`].
 
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::approx::atan2_f32;
-use super::order::rings_by_order;
 use super::{MAX_BEAMS, SensorModel};
-use crate::scan::Scan;
 
 /// The ring of a return that no beam explains.
 pub const NO_RING: u16 = u16::MAX;
@@ -50,27 +46,6 @@ pub enum RingSource {
     Elevation,
     /// Order of the points: one laser's whole turn after the other's.
     Order,
-}
-
-/// Finds the ring of every point (sensor frame, metres) among the beams of a known sensor.
-pub fn recover_rings(points: &[Vec3], model: &SensorModel) -> RingRecovery {
-    let by_elevation = Beams::new(model).recover(points);
-    if by_elevation.within_tolerance >= CLEAR {
-        return by_elevation;
-    }
-    let by_order = rings_by_order(points).and_then(|o| o.named_after(model));
-    match by_order {
-        Some(by_order) if by_order.within_tolerance > by_elevation.within_tolerance => by_order,
-        _ => by_elevation,
-    }
-}
-
-/// The rings of a scan: its own, or recovered ones.
-pub fn rings_of<'a>(scan: &'a Scan, model: &SensorModel) -> Cow<'a, [u16]> {
-    match &scan.rings {
-        Some(rings) => Cow::Borrowed(rings),
-        None => Cow::Owned(recover_rings(&scan.points, model).rings),
-    }
 }
 
 /// Renumbers rings so that 0 is the lowest, whatever the sensor's own numbering; true if anything changed.
@@ -274,7 +249,7 @@ pub(super) fn sample(points: &[Vec3], wanted: u32) -> impl Iterator<Item = usize
 mod tests {
     use super::*;
     use crate::sensor::testing::scan_room;
-    use crate::sensor::{model, names};
+    use crate::sensor::{model, names, recover_rings};
 
     #[test]
     fn every_known_sensor_gets_its_rings_back() {
@@ -348,20 +323,6 @@ mod tests {
         let mut sorted: Vec<u16> = seen.iter().map(|&i| 15 - rings[i]).collect();
         sort_rings(&points, &mut sorted);
         assert!(sorted.iter().zip(&seen).all(|(&r, &i)| r == rings[i]));
-    }
-
-    #[test]
-    fn the_scan_s_own_rings_come_first() {
-        let model = model("vlp16").unwrap();
-        let (points, rings) = scan_room(&model, |_| 0.0);
-        let mut scan = Scan {
-            points,
-            rings: Some(vec![7; rings.len()]),
-            ..Default::default()
-        };
-        assert!(rings_of(&scan, &model).iter().all(|&r| r == 7));
-        scan.rings = None;
-        assert!(*rings_of(&scan, &model) == *rings);
     }
 
     #[test]
