@@ -22,7 +22,7 @@ use crate::{
     prepared::{CELL_BYTES, OFFER_BYTES, PATCH_BYTES, PLACE_BYTES, RING_BYTES, SEEN_BYTES},
     render,
     scratch::Scratch,
-    shader::{ANGLES, FIND_SURFACE, FRAME, KEEP, LINES, Paging, RENDER, SURFACE, WRITE_MESH, source},
+    shader::{ANGLES, FIND_SURFACE, FRAME, GATHER, KEEP, LINES, Paging, RENDER, SURFACE, WRITE_MESH, source},
     surface::Params,
 };
 
@@ -31,6 +31,7 @@ const PAGING: Paging = Paging { pages: 3, shift: 5 };
 /// All kernels, by name.
 fn sources() -> Vec<(String, String)> {
     let mut all = vec![("keep".to_owned(), source(PAGING, &[FRAME, KEEP]))];
+    all.push(("gather".to_owned(), source(PAGING, &[GATHER])));
     all.push(("find_surface".to_owned(), source(PAGING, &[SURFACE, FIND_SURFACE])));
     all.push(("write_mesh".to_owned(), source(PAGING, &[SURFACE, WRITE_MESH])));
     all.push(("render".to_owned(), source(PAGING, &[SURFACE, RENDER])));
@@ -125,6 +126,20 @@ fn views_and_hits_have_one_layout() {
     assert_eq!(members(&module, "Hit"), hit);
 }
 
+/// Bytes from one entry of the list of updated blocks to the next.
+fn state_list_stride() -> u32 {
+    let module = parse(&source(PAGING, &[]));
+    let state = module.types.iter().find(|(_, t)| t.name.as_deref() == Some("State"));
+    let Some(TypeInner::Struct { members, .. }) = state.map(|(_, t)| &t.inner) else {
+        panic!("there is no struct State");
+    };
+    let list = members.iter().find(|m| m.name.as_deref() == Some("list")).unwrap();
+    match module.types[list.ty].inner {
+        TypeInner::Array { stride, .. } => stride,
+        ref other => panic!("{other:?}"),
+    }
+}
+
 #[test]
 fn the_state_has_one_layout() {
     let state = members(&parse(&source(PAGING, &[])), "State");
@@ -134,6 +149,8 @@ fn the_state_has_one_layout() {
         (offset("table_mask"), offset("capacity"), offset("list")),
         (Header::SIZES, Header::SIZES + 4, Header::LIST)
     );
+    let list = state_list_stride();
+    assert_eq!(u64::from(list), Header::ENTRY);
     // Each counter is read from where it is written.
     let words: Vec<u8> = (1_u32..=10).flat_map(u32::to_le_bytes).collect();
     let header = Header::parse(&words);

@@ -1,64 +1,10 @@
-//! The device: which adapter, what it can do, and what went wrong on it.
+//! The device: opening it, its buffers, and the errors that it reports.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tsdfuse::{fuse::FuseError, map::MapError, mesh::MeshError, render::RenderError};
-
-use crate::timeline::Timeline;
-
-/// Why something could not be done on the device.
-#[derive(Debug, thiserror::Error)]
-pub enum GpuError {
-    /// There is none, or none of the name that was asked for.
-    #[error("no GPU can be used: {0}")]
-    NoAdapter(String),
-    /// The device stopped: it was reset, removed, or a kernel ran too long. What was on it is lost.
-    #[error("the GPU stopped working, and what was on it is lost: {0}")]
-    Lost(String),
-    /// The device has no memory left.
-    #[error("the GPU has no memory for {what} ({bytes} bytes)")]
-    OutOfMemory {
-        /// What it is needed for.
-        what: String,
-        /// How much was asked for.
-        bytes: u64,
-    },
-    /// More blocks than the device can address.
-    #[error("the map needs more than {blocks} blocks, which is all that this GPU can hold")]
-    TooManyBlocks {
-        /// How many it can hold.
-        blocks: u64,
-    },
-    /// More than one binding of this device can hold.
-    #[error("{what} needs {bytes} bytes, but this GPU binds at most {limit} at once")]
-    TooLarge {
-        /// What.
-        what: String,
-        /// Its size.
-        bytes: u64,
-        /// The largest size.
-        limit: u64,
-    },
-    /// The driver or this program is at fault.
-    #[error("the GPU reports an error: {0}")]
-    Driver(String),
-    /// The method does not run on the device.
-    #[error("{0}")]
-    Unsupported(String),
-    /// The scan cannot be fused, there as here.
-    #[error(transparent)]
-    Fuse(#[from] FuseError),
-    /// The map cannot be made.
-    #[error(transparent)]
-    Map(#[from] MapError),
-    /// There is no mesh.
-    #[error(transparent)]
-    Mesh(#[from] MeshError),
-    /// There is no view.
-    #[error(transparent)]
-    Render(#[from] RenderError),
-}
+use crate::error::GpuError;
+use crate::timeline::{Recorder, Stage, Timeline};
 
 /// A GPU, opened.
 ///
@@ -73,16 +19,16 @@ pub struct Gpu {
     pub(crate) queue: wgpu::Queue,
     info: wgpu::AdapterInfo,
     limits: wgpu::Limits,
-    /// What the device said that nobody asked for.
+    /// Errors that the device reported by itself.
     trouble: Arc<Mutex<Trouble>>,
-    pub(crate) timeline: Timeline,
-    /// Where what is read back lands, kept for the next time.
+    timeline: Timeline,
+    /// The buffer that data is read back through, kept for the next time.
     landing: Arc<Mutex<Option<wgpu::Buffer>>>,
 }
 
 #[derive(Clone, Debug, Default)]
 struct Trouble {
-    /// Why the device is lost. It stays so.
+    /// Why the device is lost. It stays lost.
     lost: Option<String>,
     error: Option<String>,
 }
@@ -145,24 +91,24 @@ impl Gpu {
         format!("{} ({:?}, {})", self.info.name, self.info.backend, driver.trim())
     }
 
-    /// Whether the adapter is a CPU that does as a GPU would.
+    /// Whether the adapter is software that runs on the CPU.
     pub fn is_software(&self) -> bool {
         self.info.device_type == wgpu::DeviceType::Cpu
     }
 
-    /// The most bytes that one binding holds.
+    /// The largest size of a binding, in bytes.
     pub(crate) fn binding_limit(&self) -> u64 {
         self.limits
             .max_storage_buffer_binding_size
             .min(self.limits.max_buffer_size)
     }
 
-    /// The most storage buffers that one kernel uses.
+    /// The most storage buffers that one kernel can use.
     pub(crate) fn storage_buffers(&self) -> u32 {
         self.limits.max_storage_buffers_per_shader_stage
     }
 
-    /// Makes a buffer, all zero.
+    /// Creates a buffer filled with zeros.
     pub(crate) fn buffer(&self, what: &str, bytes: u64, usage: wgpu::BufferUsages) -> Result<wgpu::Buffer, GpuError> {
         let limit = if usage.contains(wgpu::BufferUsages::STORAGE) {
             self.binding_limit()
@@ -189,12 +135,12 @@ impl Gpu {
         }
     }
 
-    /// What went wrong since the last time, if anything did.
+    /// Returns the error that the device reported since the last call, if any.
     pub(crate) fn check(&self) -> Result<(), GpuError> {
         let Some(error) = lock(&self.trouble).error.take() else {
             return self.check_lost();
         };
-        // Of a lost device errors may be heard before the loss.
+        // A device that is being lost may report errors before it reports the loss.
         let _ = self.device.poll(wgpu::PollType::Poll);
         self.check_lost()?;
         Err(GpuError::Driver(error))
@@ -207,7 +153,7 @@ impl Gpu {
             .map_or(Ok(()), |why| Err(GpuError::Lost(why)))
     }
 
-    /// Waits until a submission is done, or all are, and callbacks have been called.
+    /// Waits until a submission, or all of them, are done and their callbacks have been called.
     pub(crate) fn wait(&self, submission: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
         let done = self.device.poll(wgpu::PollType::Wait {
             submission_index: submission,
@@ -217,7 +163,7 @@ impl Gpu {
         done.map(|_| ()).map_err(|e| GpuError::Lost(e.to_string()))
     }
 
-    /// Copies part of a buffer back, and hands it on.
+    /// Copies part of a buffer back and passes it to a closure.
     pub(crate) fn read_with<T>(
         &self,
         buffer: &wgpu::Buffer,
@@ -252,14 +198,88 @@ impl Gpu {
     pub(crate) fn read(&self, buffer: &wgpu::Buffer, offset: u64, bytes: u64) -> Result<Vec<u8>, GpuError> {
         self.read_with(buffer, offset, bytes, <[u8]>::to_vec)
     }
+
+    /// Starts to record how long each kernel takes; returns false if the device has no clock for that.
+    pub fn record_timeline(&self) -> bool {
+        let has_clock = self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY);
+        if has_clock {
+            self.timeline.start(&self.device);
+        }
+        has_clock
+    }
+
+    /// Stops recording, and returns how long each kernel took, in the order in which they were submitted (at most 2048).
+    ///
+    /// # Errors
+    /// [`GpuError::Lost`] if the device is gone.
+    pub fn timeline(&self) -> Result<Vec<Stage>, GpuError> {
+        let recorder = self.timeline.stop();
+        let Some(Recorder { queries, passes }) = recorder.filter(|r| !r.passes.is_empty()) else {
+            return Ok(Vec::new());
+        };
+        let count = 2 * passes.len() as u32;
+        let usage = wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC;
+        let ticks = self.buffer("timeline", 8 * u64::from(count), usage)?;
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        encoder.resolve_query_set(&queries, 0..count, &ticks, 0);
+        self.queue.submit([encoder.finish()]);
+        let ticks: Vec<[u64; 2]> = bytemuck::pod_collect_to_vec(&self.read(&ticks, 0, ticks.size())?);
+        let period_secs = f64::from(self.queue.get_timestamp_period()) * 1e-9;
+        let stage = |(name, [begin, end]): (&'static str, [u64; 2])| Stage {
+            name,
+            seconds: end.saturating_sub(begin) as f64 * period_secs,
+        };
+        Ok(passes.into_iter().zip(ticks).map(stage).collect())
+    }
+
+    /// Whether each kernel should have a pass of its own, so that it can be timed.
+    pub(crate) fn is_timed(&self) -> bool {
+        self.timeline.is_running()
+    }
+
+    /// Begins a pass of kernels.
+    pub(crate) fn pass<'a>(&self, encoder: &'a mut wgpu::CommandEncoder, name: &'static str) -> wgpu::ComputePass<'a> {
+        self.timeline.pass(encoder, name)
+    }
 }
 
-/// What is locked; whoever panicked while holding it left it whole.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+/// An environment variable, and the value that keeps Mesa from printing "error: XDG_RUNTIME_DIR is invalid or not set" to
+/// stderr, twice for each device that is opened. `None` where it is not needed.
+///
+/// On Linux, a Vulkan layer of Mesa connects to Wayland to find the display's GPU. This crate has no use for that, but a
+/// library cannot switch the layer off, since changing the environment of a running program is unsafe. A program can restart
+/// itself with the variable before it opens a device, as below, or set it for a child process.
+///
+/// ```no_run
+/// # #[cfg(unix)] {
+/// use std::os::unix::process::CommandExt;
+///
+/// if let Some((name, value)) = tsdfuse_gpu::quiet_variable() {
+///     let mut again = std::process::Command::new(std::env::current_exe()?);
+///     let error = again.args(std::env::args_os().skip(1)).env(name, value).exec();
+///     eprintln!("{error}"); // exec returns only if it fails; the program can go on
+/// }
+/// # }
+/// # Ok::<(), std::io::Error>(())
+/// ```
+pub fn quiet_variable() -> Option<(&'static str, &'static str)> {
+    let is_set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+    // Who sets the third one wants that layer.
+    let is_fine = ["XDG_RUNTIME_DIR", LAYER_OFF.0, "MESA_VK_DEVICE_SELECT"]
+        .into_iter()
+        .any(is_set);
+    (cfg!(target_os = "linux") && !is_fine).then_some(LAYER_OFF)
+}
+
+/// Switches off Mesa's `VK_LAYER_MESA_device_select`.
+const LAYER_OFF: (&str, &str) = ("NODEVICE_SELECT", "1");
+
+/// Locks a mutex. A thread that panicked while holding it cannot have left the value half-changed.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// No kernel takes as long, not even in software on a busy machine.
+/// No kernel takes this long, not even in software on a busy machine.
 const LONGEST_WAIT: Duration = Duration::from_secs(600);
 
 fn rank(kind: wgpu::DeviceType) -> u8 {

@@ -5,11 +5,13 @@ use std::sync::{
     atomic::{AtomicUsize, Ordering},
 };
 
+use tsdfuse::index::BlockIndex;
 use wgpu::BufferUsages as Usage;
 
-use crate::device::{Gpu, GpuError};
+use crate::device::Gpu;
+use crate::error::GpuError;
 use crate::frame::Frame;
-use crate::map::Header;
+use crate::map::{Header, index_of};
 use crate::scratch::Scratch;
 
 /// The buffers of one scan, kept from scan to scan.
@@ -20,8 +22,10 @@ pub(crate) struct Flight {
     /// Where frames and returns are written by the host, and the same on the device.
     staging: wgpu::Buffer,
     pub(crate) data: wgpu::Buffer,
-    /// What was counted, on the device's side of the bus and on ours.
+    /// The map's counters after the scan and the first part of the list of updated blocks, for the host to read.
     counts: wgpu::Buffer,
+    /// The rest of that list, on the device.
+    rest: Option<wgpu::Buffer>,
     pub(crate) bind_group: wgpu::BindGroup,
     pub(crate) scratch: Scratch,
     /// Where the returns begin in `data`, and where they end.
@@ -41,6 +45,8 @@ pub(crate) struct Parcel<'a> {
     pub(crate) columns: &'a [&'a [u8]],
     /// What its kernels leave to each other.
     pub(crate) scratch: &'a Scratch,
+    /// How many updated blocks the host expects at most. If there are more, they are read back later, which takes longer.
+    pub(crate) most_updated: u32,
 }
 
 /// Frames are this far apart: what all devices can bind.
@@ -56,7 +62,12 @@ impl Flight {
         frames: Vec<Frame>,
         parcel: &Parcel<'_>,
     ) -> Result<Self, GpuError> {
-        let Parcel { name, columns, scratch } = *parcel;
+        let Parcel {
+            name,
+            columns,
+            scratch,
+            most_updated,
+        } = *parcel;
         let returns_at = FRAME_STRIDE * frames.len().max(1) as u64;
         // Whole words.
         let returns = columns.iter().map(|c| c.len() as u64).sum::<u64>().next_multiple_of(4);
@@ -68,18 +79,22 @@ impl Flight {
                 limit: gpu.binding_limit(),
             });
         }
-        let (staging, data, counts) = match old {
-            Some(old) if old.data.size() >= bytes => (old.staging, old.data, old.counts),
-            old => {
+        let (sent, counted) = old.map(|old| ((old.staging, old.data), (old.counts, old.rest))).unzip();
+        let (staging, data) = match sent.filter(|(_, data)| data.size() >= bytes) {
+            Some(large_enough) => large_enough,
+            None => {
                 let room = bytes.next_power_of_two().min(gpu.binding_limit());
                 let staging = gpu.buffer("uploading", room, Usage::MAP_WRITE | Usage::COPY_SRC)?;
                 let data = gpu.buffer("a scan", room, Usage::STORAGE | Usage::UNIFORM | Usage::COPY_DST)?;
-                let counts = old.map(|old| old.counts);
-                let new = || gpu.buffer("counts", Header::BYTES, Usage::MAP_READ | Usage::COPY_DST);
                 staging.map_async(wgpu::MapMode::Write, .., |_| {});
                 gpu.wait(None)?;
-                (staging, data, counts.map_or_else(new, Ok)?)
+                (staging, data)
             }
+        };
+        let room = Header::LIST + Header::ENTRY * u64::from(most_updated);
+        let (counts, rest) = match counted.filter(|(counts, _)| counts.size() >= room) {
+            Some(large_enough) => large_enough,
+            None => (gpu.buffer("counts", room, Usage::MAP_READ | Usage::COPY_DST)?, None),
         };
         {
             let lost = |e: wgpu::MapRangeError| GpuError::Lost(e.to_string());
@@ -111,6 +126,7 @@ impl Flight {
             staging,
             data,
             counts,
+            rest,
             bind_group,
             scratch: scratch.clone(),
             bytes,
@@ -125,7 +141,17 @@ impl Flight {
         encoder.copy_buffer_to_buffer(&self.staging, 0, &self.data, 0, self.bytes);
     }
 
-    /// Sends what was recorded, and then the map's counters back.
+    /// Makes room for the list of updated blocks of a map whose state is this buffer. Must precede [`Self::submit`].
+    pub(crate) fn fit_list(&mut self, gpu: &Gpu, state: &wgpu::Buffer) -> Result<(), GpuError> {
+        let bytes = state.size().saturating_sub(self.counts.size());
+        if self.rest.as_ref().map_or(0, wgpu::Buffer::size) < bytes {
+            let usage = Usage::COPY_SRC | Usage::COPY_DST;
+            self.rest = Some(gpu.buffer("updated blocks", bytes, usage)?);
+        }
+        Ok(())
+    }
+
+    /// Submits the recorded commands, and after them copies of the map's counters and of the list of updated blocks.
     pub(crate) fn submit(
         &mut self,
         gpu: &Gpu,
@@ -133,7 +159,11 @@ impl Flight {
         state: &wgpu::Buffer,
         is_first: bool,
     ) {
-        encoder.copy_buffer_to_buffer(state, 0, &self.counts, 0, Header::BYTES);
+        let first = state.size().min(self.counts.size());
+        encoder.copy_buffer_to_buffer(state, 0, &self.counts, 0, first);
+        if let Some(rest) = self.rest.as_ref().filter(|_| state.size() > first) {
+            encoder.copy_buffer_to_buffer(state, first, rest, 0, state.size() - first);
+        }
         self.submission = Some(gpu.queue.submit([encoder.finish()]));
         let called = |pending: &Arc<AtomicUsize>| {
             pending.fetch_add(1, Ordering::AcqRel);
@@ -149,14 +179,26 @@ impl Flight {
         }
     }
 
-    /// Waits for what was sent, and tells the counters after it.
-    pub(crate) fn wait(&self, gpu: &Gpu) -> Result<Header, GpuError> {
+    /// Waits until the scan has passed; returns the counters after it, and the blocks that it updated, sorted, if no flag is
+    /// set.
+    pub(crate) fn wait(&self, gpu: &Gpu) -> Result<(Header, Vec<BlockIndex>), GpuError> {
         while self.pending.load(Ordering::Acquire) > 0 {
             gpu.wait(self.submission.clone())?;
         }
         let lost = |e: wgpu::MapRangeError| GpuError::Lost(e.to_string());
-        let header = Header::parse(&self.counts.get_mapped_range(..).map_err(lost)?);
+        let counted = self.counts.get_mapped_range(..).map_err(lost)?;
+        let header = Header::parse(&counted);
+        let bytes = Header::ENTRY * u64::from(if header.flags == 0 { header.updated } else { 0 });
+        let (_, list) = counted.split_at(Header::LIST as usize);
+        let first = list.len().min(bytes as usize);
+        let blocks = |list: &[u8]| list.chunks_exact(Header::ENTRY as usize).map(index_of).collect();
+        let mut updated: Vec<BlockIndex> = blocks(&list[..first]);
+        drop(counted);
         self.counts.unmap();
-        Ok(header)
+        if let Some(rest) = &self.rest {
+            updated.append(&mut gpu.read_with(rest, 0, bytes - first as u64, blocks)?);
+        }
+        updated.sort_unstable();
+        Ok((header, updated))
     }
 }

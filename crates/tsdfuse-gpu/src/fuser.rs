@@ -6,10 +6,11 @@ use std::ops::Range;
 use tsdfuse::{
     Scan, SensorModel, VoxelMap,
     fuse::{FuseConfig, FuseError, Method, Skipped},
+    index::BlockIndex,
     map::WEIGHT_SCALE,
 };
 
-use crate::device::GpuError;
+use crate::error::GpuError;
 use crate::flight::{FRAME_STRIDE, Flight, Parcel};
 use crate::frame::{ALLOCATE, FUSE, Frame};
 use crate::kernels::{LIMIT_WEIGHTS, Step, WORKGROUP, Work};
@@ -24,8 +25,8 @@ use crate::shader::{Binding, FRAME, KEEP, source};
 pub struct Fused {
     /// Its name.
     pub name: String,
-    /// Blocks that were made or updated.
-    pub updated_blocks: u64,
+    /// The blocks that were created or updated, sorted.
+    pub updated_blocks: Vec<BlockIndex>,
     /// Returns that reached the map.
     pub fused_returns: u64,
     /// Returns that could not be used, by reason.
@@ -50,6 +51,8 @@ pub struct Fuser {
     /// Sent, the oldest first.
     flights: VecDeque<Sent>,
     idle: Vec<Flight>,
+    /// The most updated blocks that the next scan is expected to have.
+    most_updated: u32,
     /// To be reported.
     done: Vec<Fused>,
 }
@@ -68,6 +71,12 @@ struct Sent {
     /// The number of scans with it.
     integrations: u32,
 }
+
+/// The most updated blocks that the first scan is expected to have.
+const FIRST_MOST_UPDATED: u32 = 512;
+
+/// No scan is expected to update more blocks than this: 16 MiB of list.
+const LARGEST_MOST_UPDATED: u32 = 1 << 20;
 
 /// Scans that are under way at most.
 const IN_FLIGHT: usize = 4;
@@ -102,12 +111,13 @@ impl Fuser {
             pipeline: gpu.kernel(&text, step.entry, &groups),
         };
         let allocate = kernel(&kernels.allocate);
-        let fuse = match kernels.fuse.entry == kernels.allocate.entry {
-            true => Kernel {
+        let fuse = if kernels.fuse.entry == kernels.allocate.entry {
+            Kernel {
                 step: kernels.fuse,
                 pipeline: allocate.pipeline.clone(),
-            },
-            false => kernel(&kernels.fuse),
+            }
+        } else {
+            kernel(&kernels.fuse)
         };
         let limit_weights = Kernel {
             step: LIMIT_WEIGHTS,
@@ -126,6 +136,7 @@ impl Fuser {
             scratch,
             flights: VecDeque::new(),
             idle: Vec::new(),
+            most_updated: FIRST_MOST_UPDATED,
             done: Vec::new(),
             map,
         })
@@ -156,9 +167,11 @@ impl Fuser {
             name: &scan.name,
             columns: &prepared.columns(),
             scratch: &self.scratch,
+            most_updated: self.most_updated,
         };
         let integrations = if frames.is_empty() { before } else { next };
         let mut flight = Flight::load(self.idle.pop(), gpu, &self.layout, frames, &parcel)?;
+        flight.fit_list(gpu, self.map.state())?;
         self.send(&mut flight, true);
         self.flights.push_back(Sent { flight, integrations });
         Ok(std::mem::take(&mut self.done))
@@ -246,25 +259,27 @@ impl Fuser {
     /// Waits for the oldest scan. If there was no room for it, makes some and repeats all scans since.
     fn finish_one(&mut self) -> Result<(), GpuError> {
         while let Some(first) = self.flights.front() {
-            let header = first.flight.wait(&self.map.gpu)?;
+            let (header, updated_blocks) = first.flight.wait(&self.map.gpu)?;
             if header.flags == 0 {
-                return self.report(header);
+                return self.report(header, updated_blocks);
             }
             for later in self.flights.iter().skip(1) {
                 later.flight.wait(&self.map.gpu)?;
             }
-            if let Err(error) = self.map.make_room(header) {
-                self.flights.clear();
-                return Err(error);
-            }
+            // On failure none of them is repeated, and all are forgotten.
             let mut flights = std::mem::take(&mut self.flights);
+            self.map.make_room(header)?;
+            let (gpu, state) = (&self.map.gpu, self.map.state());
+            flights
+                .iter_mut()
+                .try_for_each(|sent| sent.flight.fit_list(gpu, state))?;
             flights.iter_mut().for_each(|sent| self.send(&mut sent.flight, false));
             self.flights = flights;
         }
         Ok(())
     }
 
-    fn report(&mut self, header: Header) -> Result<(), GpuError> {
+    fn report(&mut self, header: Header, updated_blocks: Vec<BlockIndex>) -> Result<(), GpuError> {
         let Some(sent) = self.flights.pop_front() else {
             return Ok(());
         };
@@ -276,9 +291,11 @@ impl Fuser {
             let why = format!("{name}: {lost} updates found no block, since two runs of one kernel differ");
             return Err(GpuError::Driver(why));
         }
+        let expected = header.updated.saturating_mul(2).min(LARGEST_MOST_UPDATED);
+        self.most_updated = self.most_updated.max(expected);
         self.done.push(Fused {
             name,
-            updated_blocks: header.updated.into(),
+            updated_blocks,
             fused_returns: header.fused.into(),
             skipped: Skipped {
                 outside_grid: header.outside_grid.into(),
@@ -313,9 +330,10 @@ fn frames(prepared: &Prepared<'_>, map: &VoxelMap, stamp: u32, by_block: bool) -
     let made = (0..all)
         .step_by(MOST_RETURNS)
         .map(|first| frame(ALLOCATE, first..all.min(first + MOST_RETURNS)));
-    let updated = match by_block {
-        true => std::iter::once(0..all).collect(),
-        false => pieces(weights, all, MOST_RETURNS, room),
+    let updated = if by_block {
+        std::iter::once(0..all).collect()
+    } else {
+        pieces(weights, all, MOST_RETURNS, room)
     };
     let updated = updated.into_iter().filter(|piece| !piece.is_empty());
     Ok(made.chain(updated.map(|piece| frame(FUSE, piece))).collect())

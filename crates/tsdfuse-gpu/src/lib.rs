@@ -37,9 +37,11 @@ mod constants;
 #[cfg(test)]
 mod contract;
 mod device;
+mod error;
 mod flight;
 mod frame;
 mod fuser;
+mod gather;
 #[cfg(test)]
 mod image;
 mod kernels;
@@ -53,10 +55,16 @@ mod shader;
 mod surface;
 mod timeline;
 
-pub use device::{Gpu, GpuError};
+pub use device::{Gpu, quiet_variable};
+pub use error::GpuError;
 pub use fuser::{Fused, Fuser};
 pub use map::{DeviceMap, PoolConfig};
 pub use mesh::Mesher;
 pub use method::METHODS;
 pub use render::Renderer;
 pub use timeline::Stage;
+
+/// Compiles the example of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -4,12 +4,14 @@
 //!   table    4 words an entry: a block's coordinates, its slot + 1                (5.1), open addressing
 //!   blocks   4 words a slot:   the block's coordinates, the scan that updated it last
 //!   pool     4096 bytes a slot: 512 voxels of two sums; in pages of one buffer each, since a binding holds only so much
-//!   state    counters (`Header`) and sizes, 13 words, then the slots that the last scan updated
+//!   state    counters (`Header`) and sizes, 13 words, then a list of the blocks that the last scan updated
 //! ```
 //!
 //! Blocks are made on the device, in any order, so slots differ from run to run; sums do not, since integers are added.
 //! A kernel that finds table or pool full raises a flag; from then on kernels do nothing, until the host has seen it, made
 //! room, and repeated the scans since. So nothing is lost, and no scan waits for the host.
+
+use std::sync::OnceLock;
 
 use glam::IVec3;
 use tsdfuse::{
@@ -19,7 +21,8 @@ use tsdfuse::{
 };
 use wgpu::BufferUsages as Usage;
 
-use crate::device::{Gpu, GpuError};
+use crate::device::Gpu;
+use crate::error::GpuError;
 use crate::shader::{Binding, FIRST_PAGE, FRAME, KEEP, Paging, source};
 
 /// How much of the device a map takes.
@@ -55,6 +58,8 @@ pub struct DeviceMap {
     pub(crate) layout: wgpu::BindGroupLayout,
     pub(crate) bind_group: wgpu::BindGroup,
     fill_table: wgpu::ComputePipeline,
+    /// The kernel of [`DeviceMap::download_blocks`] and the layout of its buffers, compiled when first used.
+    pub(crate) gather: OnceLock<(wgpu::BindGroupLayout, wgpu::ComputePipeline)>,
     buffers: Buffers,
 }
 
@@ -93,7 +98,9 @@ impl Header {
     pub(crate) const SCAN: u64 = 8;
     /// Table mask and capacity come next, then the list.
     pub(crate) const SIZES: u64 = 44;
-    pub(crate) const LIST: u64 = 52;
+    pub(crate) const LIST: u64 = 64;
+    /// Bytes of an entry of the list: coordinates and slot.
+    pub(crate) const ENTRY: u64 = 16;
 
     pub(crate) fn parse(bytes: &[u8]) -> Self {
         let word = |i| words(bytes).nth(i).unwrap_or_default();
@@ -128,7 +135,7 @@ const MAX_PAGES: u32 = 16;
 const OTHER_BINDINGS: u32 = 10;
 
 /// Blocks that are copied at once.
-const BATCH: u32 = 4096;
+pub(crate) const BATCH: u32 = 4096;
 
 impl DeviceMap {
     /// An empty map.
@@ -164,6 +171,7 @@ impl DeviceMap {
             bind_group: buffers.bind(gpu, &layout, paging)?,
             layout,
             fill_table,
+            gather: OnceLock::new(),
             buffers,
         };
         map.write_sizes();
@@ -232,21 +240,9 @@ impl DeviceMap {
         let voxels = self.gpu.read(page, at, BLOCK_BYTES * count)?;
         let blocks = voxels.chunks_exact(BLOCK_BYTES as usize);
         for (record, voxels) in records.chunks_exact(RECORD_BYTES as usize).zip(blocks) {
-            let mut block = Block {
-                voxels: [Voxel::default(); BLOCK_VOXELS],
-            };
-            let mut sums = words(voxels);
-            for voxel in &mut block.voxels {
-                if let (Some(weight_sum), Some(distance_sum)) = (sums.next(), sums.next()) {
-                    *voxel = Voxel {
-                        weight_sum,
-                        distance_sum: distance_sum.cast_signed(),
-                    };
-                }
-            }
-            // One that no scan updated was made by a scan that could not be fused for lack of room.
+            // A block that no scan updated was created by a scan that did not fit.
             if words(record).nth(3) != Some(0) {
-                map.insert_block(index_of(record), block)?;
+                map.insert_block(index_of(record), block_of(voxels))?;
             }
         }
         Ok(())
@@ -298,13 +294,20 @@ impl DeviceMap {
         Ok(Header::parse(&bytes))
     }
 
-    /// Makes room after a kernel found none, so that it can be repeated. No kernel may be running. Where that fails, the map
-    /// is as before, and kernels go on to do nothing.
+    /// Makes room after a kernel found none, so that the scan can be repeated. No kernel may be running. On failure the map
+    /// is as before, and kernels continue to do nothing.
     pub(crate) fn make_room(&mut self, header: Header) -> Result<(), GpuError> {
-        if header.flags & POOL_FULL == 0 {
-            return self.grow_table();
-        }
-        self.grow_pool(header.blocks, header.blocks.min(self.buffers.capacity))
+        let blocks = u64::from(self.buffers.capacity);
+        let grown = if header.flags & POOL_FULL == 0 {
+            self.grow_table()
+        } else {
+            self.grow_pool(header.blocks, header.blocks.min(self.buffers.capacity))
+        };
+        grown.map_err(|error| match error {
+            // A buffer of the larger map would exceed what the device can bind.
+            GpuError::TooLarge { .. } => GpuError::TooManyBlocks { blocks },
+            other => other,
+        })
     }
 
     /// Makes room for at least `wanted` blocks; `have` are there.
@@ -386,7 +389,11 @@ impl Buffers {
             entries,
             table: new_table(gpu, entries)?,
             blocks: gpu.buffer("the list of blocks", RECORD_BYTES * u64::from(capacity), STORED)?,
-            state: gpu.buffer("the map's state", Header::LIST + 4 * u64::from(capacity), STORED)?,
+            state: gpu.buffer(
+                "the map's state",
+                Header::LIST + Header::ENTRY * u64::from(capacity),
+                STORED,
+            )?,
             pages: pages.collect::<Result<_, _>>()?,
         })
     }
@@ -399,7 +406,11 @@ impl Buffers {
             entries: entries_for(capacity).max(self.entries),
             table: new_table(gpu, entries_for(capacity).max(self.entries))?,
             blocks: gpu.buffer("the list of blocks", RECORD_BYTES * u64::from(capacity), STORED)?,
-            state: gpu.buffer("the map's state", Header::LIST + 4 * u64::from(capacity), STORED)?,
+            state: gpu.buffer(
+                "the map's state",
+                Header::LIST + Header::ENTRY * u64::from(capacity),
+                STORED,
+            )?,
         };
         let mut copies = vec![(&self.blocks, grown.blocks.clone()), (&self.state, grown.state.clone())];
         for page in 0..capacity.div_ceil(paging.blocks()) {
@@ -446,8 +457,25 @@ pub(crate) fn words(bytes: &[u8]) -> impl Iterator<Item = u32> {
     bytes.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b))
 }
 
-/// The block that a record names.
-fn index_of(record: &[u8]) -> BlockIndex {
+/// The block whose sums these are.
+pub(crate) fn block_of(voxels: &[u8]) -> Block {
+    let mut block = Block {
+        voxels: [Voxel::default(); BLOCK_VOXELS],
+    };
+    let mut sums = words(voxels);
+    for voxel in &mut block.voxels {
+        if let (Some(weight_sum), Some(distance_sum)) = (sums.next(), sums.next()) {
+            *voxel = Voxel {
+                weight_sum,
+                distance_sum: distance_sum.cast_signed(),
+            };
+        }
+    }
+    block
+}
+
+/// The index of the block that a record describes.
+pub(crate) fn index_of(record: &[u8]) -> BlockIndex {
     let mut coordinates = words(record).map(u32::cast_signed);
     let mut next = || coordinates.next().unwrap_or_default();
     BlockIndex(IVec3::new(next(), next(), next()))

@@ -18,7 +18,7 @@ use tsdfuse::{
 };
 use wgpu::BufferUsages as Usage;
 
-use crate::device::GpuError;
+use crate::error::GpuError;
 use crate::map::DeviceMap;
 use crate::shader::{Binding, SURFACE, WRITE_MESH, source};
 use crate::surface::{BINDINGS, Finder, Params, WORKGROUPS};

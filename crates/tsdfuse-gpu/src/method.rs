@@ -7,7 +7,7 @@ use tsdfuse::{
     sensor::Pinhole,
 };
 
-use crate::device::GpuError;
+use crate::error::GpuError;
 use crate::kernels::Kernels;
 use crate::prepared::{Cylinder, Image, Prepared, Surface, range_weights, weights};
 use crate::shader::{EUCLIDEAN, PROJECTIVE, RAYCAST};

@@ -13,7 +13,8 @@ use tsdfuse::{
 };
 use wgpu::BufferUsages as Usage;
 
-use crate::device::{Gpu, GpuError};
+use crate::device::Gpu;
+use crate::error::GpuError;
 use crate::map::DeviceMap;
 use crate::shader::{Binding, RENDER, SURFACE, source};
 use crate::surface::{BINDINGS, Finder};

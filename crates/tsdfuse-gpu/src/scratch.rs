@@ -4,7 +4,8 @@ use std::ops::Range;
 
 use wgpu::BufferUsages as Usage;
 
-use crate::device::{Gpu, GpuError};
+use crate::device::Gpu;
+use crate::error::GpuError;
 
 /// Cells, places, offers, rings (`shaders/image.wgsl`); patches, noise (`shaders/planes.wgsl`). Or, of other images, where returns are
 /// seen, pixels, and one ring, as the second to the fourth.

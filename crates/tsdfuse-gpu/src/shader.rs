@@ -82,6 +82,7 @@ pub(crate) fn source(paging: Paging, parts: &[&str]) -> String {
 const MAP: &str = include_str!("shaders/map.wgsl");
 pub(crate) const FRAME: &str = include_str!("shaders/frame.wgsl");
 pub(crate) const KEEP: &str = include_str!("shaders/keep.wgsl");
+pub(crate) const GATHER: &str = include_str!("shaders/gather.wgsl");
 pub(crate) const LINES: &str = include_str!("shaders/lines.wgsl");
 pub(crate) const RAYCAST: &str = include_str!("shaders/raycast.wgsl");
 pub(crate) const EUCLIDEAN: &str = include_str!("shaders/euclidean.wgsl");

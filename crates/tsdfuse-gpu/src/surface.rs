@@ -4,7 +4,8 @@ use bytemuck::{Pod, Zeroable};
 use tsdfuse::mesh::cube_triangles;
 use wgpu::BufferUsages as Usage;
 
-use crate::device::{Gpu, GpuError};
+use crate::device::Gpu;
+use crate::error::GpuError;
 use crate::map::DeviceMap;
 use crate::shader::{Binding, FIND_SURFACE, SURFACE, source};
 

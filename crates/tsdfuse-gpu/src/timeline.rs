@@ -1,82 +1,61 @@
-//! What each kernel takes, by the device's own clock.
+//! Recording how long each kernel takes, by the device's own clock.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::device::{Gpu, GpuError, lock};
-
-/// What one pass of a kernel took.
+/// The time that one pass of a kernel took.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stage {
     /// The kernel's name.
     pub name: &'static str,
-    /// Seconds from its begin to its end.
+    /// Seconds from its start to its end.
     pub seconds: f64,
 }
 
 /// The passes since recording began.
 #[derive(Debug)]
-struct Recorder {
-    queries: wgpu::QuerySet,
-    passes: Vec<&'static str>,
+pub(crate) struct Recorder {
+    pub(crate) queries: wgpu::QuerySet,
+    pub(crate) passes: Vec<&'static str>,
 }
 
-/// Shared by all who use a device.
+/// The recorder, if one is running; shared by all clones of a device.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Timeline(Arc<Mutex<Option<Recorder>>>);
 
-/// Passes that are recorded at most.
+/// The most passes that are recorded.
 const MOST_PASSES: u32 = 2048;
 
-impl Gpu {
-    /// Begins to note what kernels take; false if the device has no clock for that.
-    pub fn record_timeline(&self) -> bool {
-        if !self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
-            return false;
-        }
-        let queries = self.device.create_query_set(&wgpu::QuerySetDescriptor {
+impl Timeline {
+    fn recorder(&self) -> MutexGuard<'_, Option<Recorder>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Starts recording.
+    pub(crate) fn start(&self, device: &wgpu::Device) {
+        let queries = device.create_query_set(&wgpu::QuerySetDescriptor {
             label: Some("timeline"),
             ty: wgpu::QueryType::Timestamp,
             count: 2 * MOST_PASSES,
         });
-        *lock(&self.timeline.0) = Some(Recorder {
+        *self.recorder() = Some(Recorder {
             queries,
             passes: Vec::new(),
         });
-        true
     }
 
-    /// What kernels took since recording began, in the order in which they were sent (2048 of them at most); recording ends.
-    ///
-    /// # Errors
-    /// [`GpuError::Lost`] if the device is gone.
-    pub fn timeline(&self) -> Result<Vec<Stage>, GpuError> {
-        let recorder = lock(&self.timeline.0).take();
-        let Some(Recorder { queries, passes }) = recorder.filter(|r| !r.passes.is_empty()) else {
-            return Ok(Vec::new());
-        };
-        let count = 2 * passes.len() as u32;
-        let usage = wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC;
-        let ticks = self.buffer("timeline", 8 * u64::from(count), usage)?;
-        let mut encoder = self.device.create_command_encoder(&Default::default());
-        encoder.resolve_query_set(&queries, 0..count, &ticks, 0);
-        self.queue.submit([encoder.finish()]);
-        let ticks: Vec<[u64; 2]> = bytemuck::pod_collect_to_vec(&self.read(&ticks, 0, ticks.size())?);
-        let period_secs = f64::from(self.queue.get_timestamp_period()) * 1e-9;
-        let stage = |(name, [begin, end]): (&'static str, [u64; 2])| Stage {
-            name,
-            seconds: end.saturating_sub(begin) as f64 * period_secs,
-        };
-        Ok(passes.into_iter().zip(ticks).map(stage).collect())
+    /// Stops recording, and returns what was recorded.
+    pub(crate) fn stop(&self) -> Option<Recorder> {
+        self.recorder().take()
     }
 
-    /// Whether each kernel is to have a pass of its own.
-    pub(crate) fn is_timed(&self) -> bool {
-        lock(&self.timeline.0).is_some()
+    /// Whether passes are being recorded.
+    pub(crate) fn is_running(&self) -> bool {
+        self.recorder().is_some()
     }
 
-    /// Begins a pass of kernels, and notes it where that is wanted.
+    /// Begins a pass of kernels, with timestamps while recording.
     pub(crate) fn pass<'a>(&self, encoder: &'a mut wgpu::CommandEncoder, name: &'static str) -> wgpu::ComputePass<'a> {
-        let mut recorder = lock(&self.timeline.0);
+        let mut recorder = self.recorder();
         let recorded = recorder.as_mut().filter(|r| r.passes.len() < MOST_PASSES as usize);
         let timestamp_writes = recorded.map(|recorder| {
             let at = 2 * recorder.passes.len() as u32;

@@ -162,7 +162,7 @@ fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
             }
         }
         if is_doubted && lane == 0u {
-            state.list[atomicAdd(&state.updated, 1u)] = slot;
+            list_update(slot);
         }
         workgroupBarrier();
     }

@@ -144,6 +144,6 @@ fn corner_of(block: vec3<i32>) -> vec3<f32> {
 // Lists a block that this scan updates, the first time.
 fn note_update(slot: u32) {
     if atomicLoad(&blocks[slot].stamp) != frame.stamp && atomicExchange(&blocks[slot].stamp, frame.stamp) != frame.stamp {
-        state.list[atomicAdd(&state.updated, 1u)] = slot;
+        list_update(slot);
     }
 }

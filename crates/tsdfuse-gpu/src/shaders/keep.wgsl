@@ -9,7 +9,7 @@ fn limit_weights(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroup
     }
     let count = atomicLoad(&state.updated);
     for (var n = group.x; n < count; n += groups.x) {
-        let slot = state.list[n];
+        let slot = u32(state.list[n].w);
         for (var local = lane; local < BLOCK_VOXELS; local += 64u) {
             let voxel = load_voxel(slot, local);
             if voxel.x > frame.max_weight_sum {

@@ -38,8 +38,8 @@ struct State {
     table_mask: u32,
     // Blocks that the pool has room for.
     capacity: u32,
-    // The slots of the blocks that the scan updated.
-    list: array<u32>,
+    // The blocks that the scan updated: their coordinates and slots.
+    list: array<vec4<i32>>,
 }
 
 // Four words an entry: the block's coordinates, their highest bit flipped so that 0 means empty, and its slot plus 1.
@@ -115,6 +115,11 @@ fn slot_of(block: vec3<i32>) -> u32 {
         entry = (entry + 1u) & state.table_mask;
     }
     return NONE;
+}
+
+// Lists a block that the scan updated. It must not be listed yet.
+fn list_update(slot: u32) {
+    state.list[atomicAdd(&state.updated, 1u)] = vec4(blocks[slot].index, i32(slot));
 }
 
 // Makes a block if it is not there.

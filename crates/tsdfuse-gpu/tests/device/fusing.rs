@@ -4,6 +4,7 @@ use tsdfuse::{
     MapConfig, Pose, Scan, SensorModel, VoxelMap,
     fuse::{Distance, FuseConfig, FuseError, Method, RaycastConfig},
     glam::{DQuat, DVec3, Vec3},
+    index::BlockIndex,
     scan::PoseAt,
     sensor::Pinhole,
 };
@@ -27,10 +28,11 @@ pub(crate) fn on_cpu(
     let mut map = VoxelMap::new(map).unwrap();
     let mut integrator = method.build(config, sensor);
     let mut fuse = |scan: &Scan| {
-        let done = integrator.integrate(&mut map, scan).unwrap();
+        let mut done = integrator.integrate(&mut map, scan).unwrap();
+        done.updated_blocks.sort_unstable();
         Fused {
             name: scan.name.clone(),
-            updated_blocks: done.updated_blocks.len() as u64,
+            updated_blocks: done.updated_blocks,
             fused_returns: done.fused_returns,
             skipped: done.skipped,
         }
@@ -85,7 +87,12 @@ pub(crate) fn assert_same_counts(device: &[Fused], cpu: &[Fused]) {
     assert_same_counts_but(0.0, device, cpu);
 }
 
-/// Numbers of updated blocks may differ by one, or by a share of them.
+/// Blocks that are only in the first of two sorted lists.
+fn only_in_first(a: &[BlockIndex], b: &[BlockIndex]) -> usize {
+    a.iter().filter(|index| b.binary_search(index).is_err()).count()
+}
+
+/// One updated block, or a share of them, may be missing, and as many may be extra.
 pub(crate) fn assert_same_counts_but(share: f64, device: &[Fused], cpu: &[Fused]) {
     assert_eq!(device.len(), cpu.len());
     for (a, b) in device.iter().zip(cpu) {
@@ -93,8 +100,18 @@ pub(crate) fn assert_same_counts_but(share: f64, device: &[Fused], cpu: &[Fused]
             (&a.name, a.fused_returns, a.skipped),
             (&b.name, b.fused_returns, b.skipped)
         );
-        let few = 1.max((share * b.updated_blocks as f64) as u64);
-        assert!(a.updated_blocks.abs_diff(b.updated_blocks) <= few, "{a:?} {b:?}");
+        let (a, b) = (a.updated_blocks.as_slice(), b.updated_blocks.as_slice());
+        assert!(a.is_sorted_by(|a, b| a < b), "each block once");
+        let few = 1.max((share * b.len() as f64) as usize);
+        let apart = [only_in_first(a, b), only_in_first(b, a)];
+        assert!(apart.iter().all(|&n| n <= few), "{apart:?} of {} blocks", b.len());
+        // Missing blocks are seen from both sides.
+        if let Some(fewer) = a.get(2 * few + 1..) {
+            assert!(only_in_first(b, fewer) > few);
+        }
+        if let Some(fewer) = b.get(2 * few + 1..) {
+            assert!(only_in_first(a, fewer) > few);
+        }
     }
 }
 
@@ -165,6 +182,81 @@ fn two_runs_give_the_same_bits_however_often_the_map_had_to_grow() {
         None,
     );
     assert!(fewer.0 != first);
+}
+
+/// The blocks that differ between two maps.
+fn changed(before: &VoxelMap, after: &VoxelMap) -> Vec<BlockIndex> {
+    let mut all = after.block_indices();
+    all.retain(|&index| before.block(index) != after.block(index));
+    all
+}
+
+#[test]
+fn updated_blocks_are_those_that_changed_also_with_many_scans_in_flight() {
+    let Some(gpu) = gpu() else { return };
+    let (sweeps, sensor) = sweeps(3);
+    let rooms = moving_scans(6);
+    for (method, scans, sensor) in [(Method::Raycast, &rooms, None), (Method::Patch, &sweeps, Some(&sensor))] {
+        let config = FuseConfig::default();
+        // One scan after the other, each with all of the map before and after it.
+        let mut fuser = Fuser::new(new_map(gpu, LARGE), method, &config, sensor).unwrap();
+        let mut before = fuser.map().download().unwrap();
+        let mut want = Vec::new();
+        for scan in scans {
+            let mut done = fuser.integrate(scan).unwrap();
+            done.extend(fuser.finish().unwrap());
+            let after = fuser.map().download().unwrap();
+            let mut updated = done[0].updated_blocks.clone();
+            let changed = changed(&before, &after);
+            // Free space can erase all that the scan itself has added.
+            let is_empty = |index| {
+                after
+                    .block(index)
+                    .is_none_or(|b| b.voxels.iter().all(|v| v.weight_sum == 0))
+            };
+            updated.retain(|&index| changed.binary_search(&index).is_ok() || !is_empty(index));
+            assert!(updated == changed, "{method:?}, {}", done[0].name);
+            assert!(done[0].updated_blocks.len() <= updated.len() + updated.len() / 1000);
+            want.append(&mut done);
+            before = after;
+        }
+        assert!(want.iter().all(|scan| scan.updated_blocks.len() > 100));
+        // More than are expected of the first scan, so the rest of its list is read later.
+        assert!(want[0].updated_blocks.len() > 512, "{}", want[0].updated_blocks.len());
+        // All at once, in a map that grows and makes scans repeat.
+        let small = PoolConfig {
+            first_blocks: 40,
+            page_blocks: 8192,
+            pages: 3,
+        };
+        let (map, got) = on_gpu(scans, method, &config, new_map(gpu, small), sensor);
+        assert_eq!(got, want);
+        assert!(map == before);
+    }
+}
+
+#[test]
+fn a_copy_of_the_map_follows_by_its_updated_blocks() {
+    let Some(gpu) = gpu() else { return };
+    let mut fuser = Fuser::new(new_map(gpu, SMALL), Method::Raycast, &FuseConfig::default(), None).unwrap();
+    let mut copy = std::collections::BTreeMap::new();
+    let mut follow = |fuser: &Fuser, done: Vec<Fused>| {
+        for scan in done {
+            let blocks = fuser.map().download_blocks(&scan.updated_blocks).unwrap();
+            assert_eq!(blocks.len(), scan.updated_blocks.len());
+            copy.extend(blocks);
+        }
+        copy.len()
+    };
+    for scan in moving_scans(6) {
+        let done = fuser.integrate(&scan).unwrap();
+        follow(&fuser, done);
+    }
+    let done = fuser.finish().unwrap();
+    assert!(follow(&fuser, done) > 1000);
+    let map = fuser.map().download().unwrap();
+    assert_eq!(copy.len(), map.block_count());
+    assert!(copy.iter().all(|(&index, block)| map.block(index) == Some(block)));
 }
 
 #[test]
@@ -276,6 +368,7 @@ fn a_scan_that_cannot_be_fused_changes_nothing_and_others_follow() {
             told,
             GpuError::Fuse(FuseError::OutsideGrid { .. } | FuseError::Scan(_))
         ));
+        assert!(told.is_bad_scan() && !told.is_full());
     }
     let nothing = Scan::default();
     let mut done = fuser.integrate(&nothing).unwrap();
@@ -308,7 +401,9 @@ fn a_full_device_says_so_and_keeps_the_scans_before() {
     let kept = fuser.finish().unwrap();
     assert_eq!(kept[0].fused_returns, 300);
     let failed = scans.iter().map(|scan| fuser.integrate(scan)).find_map(Result::err);
-    let told = failed.or_else(|| fuser.finish().err()).unwrap().to_string();
+    let error = failed.or_else(|| fuser.finish().err()).unwrap();
+    assert!(error.is_full() && !error.is_bad_scan());
+    let told = error.to_string();
     assert_eq!(
         told,
         "the map needs more than 1024 blocks, which is all that this GPU can hold"

@@ -43,3 +43,38 @@ fn an_adapter_that_is_not_there_is_named_in_one_sentence() {
         assert!(Gpu::open(name.split(" (").next()).is_ok());
     }
 }
+
+/// Opens a device in a process without `XDG_RUNTIME_DIR`; returns what it prints to stderr.
+fn stderr_of_child(variable: Option<(&str, &str)>) -> String {
+    let mut child = std::process::Command::new(std::env::current_exe().unwrap());
+    child.args([
+        "--exact",
+        "an_adapter_that_is_not_there_is_named_in_one_sentence",
+        "--nocapture",
+    ]);
+    child
+        .env_remove("XDG_RUNTIME_DIR")
+        .env_remove("NODEVICE_SELECT")
+        .envs(variable);
+    let run = child.output().unwrap();
+    assert!(run.status.success());
+    String::from_utf8(run.stderr).unwrap()
+}
+
+#[test]
+fn a_device_opens_without_a_word_from_mesa() {
+    let message = "error: XDG_RUNTIME_DIR";
+    let quiet = Some(("NODEVICE_SELECT", "1"));
+    assert!(!stderr_of_child(quiet).contains(message));
+    // Other drivers never print it.
+    eprintln!(
+        "without the variable it is printed: {}",
+        stderr_of_child(None).contains(message)
+    );
+    let needed = std::env::var_os("XDG_RUNTIME_DIR").is_none() && std::env::var_os("NODEVICE_SELECT").is_none();
+    if needed && cfg!(target_os = "linux") && std::env::var_os("MESA_VK_DEVICE_SELECT").is_none() {
+        assert_eq!(tsdfuse_gpu::quiet_variable(), quiet);
+    } else if std::env::var_os("XDG_RUNTIME_DIR").is_some_and(|folder| !folder.is_empty()) {
+        assert_eq!(tsdfuse_gpu::quiet_variable(), None);
+    }
+}

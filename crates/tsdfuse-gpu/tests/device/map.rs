@@ -70,6 +70,30 @@ fn an_empty_map_is_one_on_the_device_too() {
 }
 
 #[test]
+fn chosen_blocks_come_back_in_their_order() {
+    let Some(gpu) = gpu() else { return };
+    let map = room();
+    let there = map.block_indices();
+    let absent = BlockIndex(IVec3::new(9999, -9999, 7));
+    assert!(!there.contains(&absent));
+    // More than one batch, backwards, and some twice.
+    let wanted: Vec<BlockIndex> = there.iter().rev().cycle().copied().take(5000).collect();
+    for pool in [LARGE, SMALL] {
+        let device = DeviceMap::upload(gpu, &map, pool).unwrap();
+        let mut asked = wanted.clone();
+        asked.insert(7, absent);
+        let got = device.download_blocks(&asked).unwrap();
+        assert!(got.iter().map(|(index, _)| index).eq(&wanted));
+        assert!(got.iter().all(|(index, block)| map.block(*index) == Some(block)));
+        // The comparison sees blocks change places.
+        let neighbours = got.iter().zip(&got[1..]);
+        assert!(neighbours.filter(|(a, b)| map.block(a.0) != Some(&b.1)).count() > 4000);
+        assert!(device.download_blocks(&[]).unwrap().is_empty());
+        assert!(device.download_blocks(&[absent]).unwrap().is_empty());
+    }
+}
+
+#[test]
 fn extreme_sums_and_places_survive() {
     let Some(gpu) = gpu() else { return };
     let mut map = VoxelMap::new(MapConfig::default()).unwrap();
