@@ -32,12 +32,13 @@ impl Default for DenseRule {
 
 impl DenseRule {
     pub(crate) fn check(&self) -> Result<()> {
-        match self.cube_m >= 1e-3 && self.cube_m.is_finite() {
-            true => Ok(()),
-            false => Err(EvalError::Protocol {
+        if self.cube_m >= 1e-3 && self.cube_m.is_finite() {
+            Ok(())
+        } else {
+            Err(EvalError::Protocol {
                 field: "dense.cube_m",
                 wrong: format!("must be 0.001 or more, not {}", self.cube_m),
-            }),
+            })
         }
     }
 }

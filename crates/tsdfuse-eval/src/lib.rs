@@ -25,10 +25,12 @@
 //! # Ok::<(), tsdfuse_eval::EvalError>(())
 //! ```
 
+mod bounds;
 pub mod color;
 pub mod compare;
 pub mod dense;
 mod error;
+mod figures;
 pub mod held_out;
 pub mod picture;
 mod plausible;
@@ -39,8 +41,14 @@ pub mod stats;
 pub mod triangle;
 mod voxels;
 
+pub use bounds::Bounds;
 pub use compare::{Comparison, compare};
 pub use error::{EvalError, Result};
 pub use protocol::Protocol;
-pub use reference::{Bounds, Reference};
+pub use reference::Reference;
 pub use stats::Stats;
+
+/// Compiles the example of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

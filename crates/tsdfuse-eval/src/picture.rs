@@ -8,6 +8,7 @@ use tsdfuse::render::{Image, Pixels};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Mesh, Pose};
 
+use sheet::BACKGROUND;
 pub use sheet::sheet;
 
 /// Nearer than this to the camera nothing is drawn, metres.
@@ -15,9 +16,6 @@ const NEAR_M: f64 = 0.2;
 
 /// Steps of brightness: pictures with few colours make small files.
 const LEVELS: f64 = 16.0;
-
-/// Where nothing is.
-const BACKGROUND: [u8; 3] = [255; 3];
 
 /// The colour of surface without a colour of its own.
 const GREY: [u8; 3] = [230; 3];

@@ -1,6 +1,6 @@
 //! What makes figures doubtful: other units, other places.
 
-use crate::compare::{Inputs, Measures};
+use crate::figures::{Inputs, Measures};
 use crate::protocol::Protocol;
 
 /// Factors between units that are mistaken for metres.

@@ -6,58 +6,18 @@ mod triangles;
 
 use std::sync::OnceLock;
 
-use rayon::prelude::*;
-use serde::Serialize;
 use tsdfuse::Mesh;
 use tsdfuse::glam::DVec3;
 
 use crate::error::{EvalError, Result};
 use crate::sample;
 
+pub use crate::bounds::Bounds;
 pub(crate) use cloud::CloudTree;
 pub(crate) use triangles::TriangleTree;
 
 /// Coordinates beyond this, metres, are errors: the Earth is smaller.
 pub const MAX_COORDINATE_M: f64 = 1e8;
-
-/// Opposite corners of a box, metres.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Bounds {
-    /// Least coordinates.
-    pub min: DVec3,
-    /// Greatest coordinates.
-    pub max: DVec3,
-}
-
-impl Bounds {
-    /// The box around points; `None` around none.
-    pub fn of(points: &[DVec3]) -> Option<Self> {
-        let of_point = |&p: &DVec3| Self { min: p, max: p };
-        let joined = |a: Self, b: Self| Self {
-            min: a.min.min(b.min),
-            max: a.max.max(b.max),
-        };
-        points.par_iter().map(of_point).reduce_with(joined)
-    }
-
-    /// Whether a point lies in it or on its sides.
-    pub fn contains(&self, p: DVec3) -> bool {
-        p.cmpge(self.min).all() && p.cmple(self.max).all()
-    }
-
-    /// Length of the diagonal, metres.
-    pub fn diagonal_m(&self) -> f64 {
-        self.min.distance(self.max)
-    }
-
-    /// The distance between two boxes, metres: 0 where they overlap.
-    pub fn gap_m(&self, other: &Self) -> f64 {
-        (other.min - self.max)
-            .max(self.min - other.max)
-            .max(DVec3::ZERO)
-            .length()
-    }
-}
 
 /// A cloud or a mesh that tells how far points are from it.
 #[derive(Debug)]
@@ -225,9 +185,10 @@ pub(crate) fn sound(of: &'static str, mut mesh: Mesh) -> Result<(Mesh, usize)> {
     } = &mut mesh;
     triangles.retain(|t| t.iter().all(|&v| is_sound(vertices[v as usize])));
     let left_out = all - mesh.triangles.len();
-    match sample::area_m2(&mesh) > 0.0 {
-        true => Ok((mesh, left_out)),
-        false => Err(EvalError::NoArea(of, all)),
+    if sample::area_m2(&mesh) > 0.0 {
+        Ok((mesh, left_out))
+    } else {
+        Err(EvalError::NoArea(of, all))
     }
 }
 

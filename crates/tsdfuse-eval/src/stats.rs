@@ -55,6 +55,15 @@ fn percentile(sorted: &[f64], share: f64) -> f64 {
     low + (high - low) * rank.fract()
 }
 
+/// The middle value, the lower of the two middle ones if their number is even; NaN if there is none. Unlike
+/// [`Stats::median_m`] it is always one of the values.
+pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = values.into_iter().collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let middle = sorted.len().saturating_sub(1) / 2;
+    sorted.get(middle).copied().unwrap_or(f64::NAN)
+}
+
 /// A sum whose order of additions does not depend on threads.
 fn sum(values: &[f64], term: impl Fn(f64) -> f64 + Sync) -> f64 {
     let parts: Vec<f64> = values
@@ -125,6 +134,14 @@ mod tests {
         assert!((stats.p90_m - 3.6).abs() < 1e-12 && (stats.p99_m - 3.96).abs() < 1e-12);
         assert_eq!(Stats::of(&[]), None);
         assert_eq!(Stats::of(&[7.0]).unwrap().p95_m, 7.0);
+    }
+
+    #[test]
+    fn the_median_is_one_of_the_values() {
+        assert_eq!(median([3.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median([4.0, 1.0, 3.0, 2.0]), 2.0);
+        assert_eq!(median([-0.0, 0.0]).to_bits(), (-0.0_f64).to_bits());
+        assert!(median([]).is_nan());
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use tsdfuse::glam::DVec3;
 
-use crate::reference::Bounds;
+use crate::bounds::Bounds;
 
 /// The mean of the points of each voxel, in the order of the voxels. The grid starts half a voxel below the least
 /// coordinates, as Open3D's.

@@ -1,5 +1,6 @@
-//! The figures against an independent implementation, `independent.py`, where a Python with numpy and scipy is at hand:
-//! `TSDFUSE_PYTHON` names the interpreter, `python3` if it is not set.
+//! The figures against an independent implementation, `independent.py`. It needs a Python with numpy and scipy:
+//! `TSDFUSE_PYTHON` names the interpreter (an absolute path, or a command), and then it must have both, as in CI. Without
+//! the variable `python3` is tried, and the test says so and passes if that lacks them.
 
 #![allow(clippy::unwrap_used, clippy::print_stderr)]
 

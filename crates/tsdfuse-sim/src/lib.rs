@@ -31,10 +31,14 @@ mod objects;
 pub mod path;
 mod primitive;
 pub mod scene;
-mod scenes;
 
 pub use lidar::{SimulationError, Simulator, SimulatorConfig};
 pub use noise::NoiseModel;
 pub use primitive::{Primitive, Terrain};
 pub use scene::{Hit, Scene};
 pub use tsdfuse::Pose;
+
+/// Compiles the example of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,5 +1,6 @@
 use super::*;
 use crate::dense::DenseRule;
+use crate::protocol::Limit;
 use crate::sample::tests::{rectangle, sphere};
 use crate::triangle::closest_on;
 

@@ -2,7 +2,8 @@
 
 use tsdfuse::render::{Image, Pixels};
 
-use super::BACKGROUND;
+/// The colour of pixels that show nothing.
+pub(super) const BACKGROUND: [u8; 3] = [255; 3];
 
 /// Pictures of one size side by side, `across` in a row; others than coloured ones stay white.
 pub fn sheet(pictures: &[&Image], across: usize) -> Image {
@@ -20,9 +21,10 @@ pub fn sheet(pictures: &[&Image], across: usize) -> Image {
         }
     }
     // A third of the bytes where there are no colours.
-    let pixels = match pixels.iter().all(|[r, g, b]| r == g && g == b) {
-        true => Pixels::Grey(pixels.iter().map(|pixel| pixel[0]).collect()),
-        false => Pixels::Rgb(pixels),
+    let pixels = if pixels.iter().all(|[r, g, b]| r == g && g == b) {
+        Pixels::Grey(pixels.iter().map(|pixel| pixel[0]).collect())
+    } else {
+        Pixels::Rgb(pixels)
     };
     Image {
         width: across * width,

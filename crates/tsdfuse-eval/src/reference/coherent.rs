@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use tsdfuse::glam::DVec3;
 
-use super::Bounds;
+use crate::bounds::Bounds;
 
 /// `answer` to each point, in the order of the points.
 pub(super) fn answers<T: Copy + Default + Send>(points: &[DVec3], answer: impl Fn(DVec3) -> T + Sync) -> Vec<T> {

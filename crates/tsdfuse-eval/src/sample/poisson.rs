@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use tsdfuse::Mesh;
 use tsdfuse::glam::{DVec3, Vec3};
 
-use super::ByArea;
+use super::area::ByArea;
 use grid::Grid;
 use queue::Queue;
 

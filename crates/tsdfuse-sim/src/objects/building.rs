@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 use glam::DVec2;
 use rand::RngExt;
 
-use super::{Opening, Parts, Rng, pick};
+use super::parts::{Opening, Parts, Rng, pick};
 use crate::primitive::Primitive;
 
 /// How deep windows and doors lie in the front.

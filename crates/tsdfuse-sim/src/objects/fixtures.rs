@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use glam::{DQuat, DVec3};
 use tsdfuse::Pose;
 
-use super::{Parts, SUNK_M};
+use super::parts::{Parts, SUNK_M};
 
 const STEEL: f64 = 0.35;
 const CONCRETE: f64 = 0.3;

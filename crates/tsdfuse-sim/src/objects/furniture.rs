@@ -6,7 +6,7 @@ use glam::{DQuat, DVec2};
 use rand::RngExt;
 use tsdfuse::Pose;
 
-use super::{FOOTING_M, Parts, Rng};
+use super::parts::{FOOTING_M, Parts, Rng};
 use crate::primitive::Primitive;
 
 const STEEL: f64 = 0.35;

@@ -2,7 +2,7 @@
 
 use rand::RngExt;
 
-use super::{Parts, Rng, SUNK_M, pick};
+use super::parts::{Parts, Rng, SUNK_M, pick};
 
 const STEEL: f64 = 0.35;
 const WOOD: f64 = 0.4;

@@ -14,12 +14,6 @@ pub(crate) use building::{Building, building};
 pub(crate) use fixtures::*;
 pub(crate) use furniture::*;
 pub(crate) use goods::*;
-pub(crate) use parts::{Opening, Parts, Rng, pick};
+pub(crate) use parts::{FOOTING_M, Opening, Parts, Rng, pick};
 pub(crate) use plants::{conifer, hedge, tree};
 pub(crate) use vehicles::{car, forklift, van};
-
-/// How deep things are set into a hall's floor, which is plane.
-const SUNK_M: f64 = 0.01;
-
-/// How deep things are set into the ground.
-pub(crate) const FOOTING_M: f64 = 0.15;

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 use rand::RngExt;
 use tsdfuse::Pose;
 
-use super::{FOOTING_M, Parts, Rng};
+use super::parts::{FOOTING_M, Parts, Rng};
 use crate::primitive::Primitive;
 
 const BARK: f64 = 0.25;

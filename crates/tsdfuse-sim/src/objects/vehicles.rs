@@ -2,7 +2,7 @@
 
 use rand::RngExt;
 
-use super::{Parts, Rng, pick};
+use super::parts::{Parts, Rng, pick};
 
 const GLASS: f64 = 0.06;
 const RUBBER: f64 = 0.05;

@@ -2,7 +2,9 @@
 
 use glam::DVec3;
 
-use super::{Aabb, Entry, Facets, Ray, Solid};
+use super::facets::Facets;
+use super::ray::{Aabb, Entry, Ray};
+use super::solid::Solid;
 
 /// |x| ≤ half.x, |y| ≤ half.y, |z| ≤ half.z.
 #[derive(Clone, Debug)]

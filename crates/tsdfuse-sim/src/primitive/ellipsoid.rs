@@ -4,8 +4,9 @@ use std::f64::consts::TAU;
 
 use glam::{DVec2, DVec3};
 
-use super::facets::chords;
-use super::{Aabb, Entry, Facets, Ray, Solid};
+use super::facets::{Facets, chords};
+use super::ray::{Aabb, Entry, Ray};
+use super::solid::Solid;
 
 /// Σ (p_i / axes_i)² ≤ 1.
 #[derive(Clone, Debug)]

@@ -4,8 +4,9 @@ use std::f64::consts::TAU;
 
 use glam::{DVec2, DVec3, dvec2, dvec3};
 
-use super::facets::chords;
-use super::{Aabb, Entry, Facets, Ray, Solid};
+use super::facets::{Facets, chords};
+use super::ray::{Aabb, Entry, Ray};
+use super::solid::Solid;
 
 /// |z| ≤ half, √(x² + y²) ≤ radius(z), the radius running linearly from `bottom` to `top`.
 #[derive(Clone, Debug)]

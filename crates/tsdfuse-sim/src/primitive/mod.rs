@@ -1,8 +1,9 @@
 //! Solids with exact surfaces: what scenes are made of.
 //!
-//! A [`Primitive`] is a shape in its own frame, placed by a [`Pose`] (`scene_from_local`). Each shape knows three things: the
-//! signed distance from any point (positive outside), where a ray first enters it, and a triangle mesh with all vertices on
-//! its surface. Distances are closed formulas but for the ellipsoid's, which is a root found to rounding error.
+//! A [`Primitive`] is a shape in its own frame, placed by a [`Pose`] (`scene_from_local`). Each shape provides three things:
+//! the signed distance from any point (positive outside), the point where a ray first enters it, and a triangle mesh with
+//! all vertices on its surface. Distances are closed formulas, except for the ellipsoid's, which is a root found to rounding
+//! error.
 
 mod cuboid;
 mod ellipsoid;
@@ -10,6 +11,7 @@ mod facets;
 mod frustum;
 mod prism;
 mod ray;
+mod solid;
 mod terrain;
 
 use glam::{DMat3, DVec2, DVec3};
@@ -21,19 +23,8 @@ pub(crate) use facets::Facets;
 use frustum::Frustum;
 use prism::Prism;
 pub(crate) use ray::{Aabb, Entry, Ray};
+use solid::Solid;
 pub use terrain::Terrain;
-
-/// What a shape has to know, all in its own frame, metres.
-trait Solid {
-    /// Signed distance, exact inside and outside.
-    fn distance(&self, p: DVec3) -> f64;
-    /// The first crossing into the solid beyond `ray.from`.
-    fn enter(&self, ray: &Ray) -> Option<Entry>;
-    /// The box that holds it.
-    fn bounds(&self) -> Aabb;
-    /// Adds triangles whose vertices lie on the surface and which stay within `chord_m` of it.
-    fn tessellate(&self, chord_m: f64, out: &mut Facets);
-}
 
 #[derive(Clone, Debug)]
 enum Shape {

@@ -2,7 +2,9 @@
 
 use glam::{DVec2, DVec3, dvec3};
 
-use super::{Aabb, Entry, Facets, Ray, Solid};
+use super::facets::Facets;
+use super::ray::{Aabb, Entry, Ray};
+use super::solid::Solid;
 
 /// (x, y) within a simple polygon, |z| ≤ half.
 #[derive(Clone, Debug)]

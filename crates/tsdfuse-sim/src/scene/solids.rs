@@ -39,8 +39,6 @@ pub struct Hit {
     pub primitive: usize,
 }
 
-pub use crate::scenes::{by_name, names};
-
 impl Scene {
     /// A scene from its solids.
     pub fn new(name: impl Into<String>, primitives: Vec<Primitive>) -> Self {

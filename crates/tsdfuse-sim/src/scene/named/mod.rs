@@ -7,7 +7,7 @@ mod targets;
 use rand::SeedableRng;
 
 use crate::objects::Rng;
-use crate::scene::Scene;
+use crate::scene::solids::Scene;
 
 const NAMES: [&str; 5] = ["street", "hall", "plane", "sphere", "box"];
 
