@@ -42,11 +42,16 @@ pub mod sensor;
 pub mod surfel;
 mod trilinear;
 
-pub use fuse::{Integration, Integrator, Normals, Patch, Raycast, Roldao, Surfels};
+pub use fearless_simd;
+pub use fuse::{
+    Caminal, Cylindrical, Depth, FuseConfig, Integration, Integrator, Kuehner, Method, Normals, Patch, Raycast, Roldao,
+    Surfels,
+};
 pub use glam;
-pub use map::{MapConfig, VoxelMap};
+pub use map::{MapConfig, Sample, VoxelMap};
 pub use mesh::Mesh;
 pub use pose::Pose;
 pub use reach::Reach;
+pub use render::Renderer;
 pub use scan::Scan;
 pub use sensor::SensorModel;
