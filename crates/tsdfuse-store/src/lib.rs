@@ -14,14 +14,14 @@
 //! the last. After a crash, at any moment, the file holds what was committed last, all of it and nothing later.
 //!
 //! ```
-//! use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, fuse::{FuseConfig, Method}, glam::Vec3};
+//! use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap, fuse::{FuseConfig, Method}, glam::Vec3};
 //! use tsdfuse_store::{Options, Pager};
 //! # let dir = tempfile::tempdir()?;
 //! let path = dir.path().join("street.store");
 //! let mut map = VoxelMap::new(MapConfig::default())?;
 //! let mut pager = Pager::create(&path, &map, b"", Options { limit_bytes: 64 << 20 })?;
-//! let scan = Scan { points: vec![Vec3::new(4.0, 0.0, 0.0)], ..Default::default() };
-//! let reach = Method::Raycast.reach(&FuseConfig::default(), map.config(), &scan);
+//! let scan = Scan { points: vec![Vec3::new(4.0, 0.0, 0.0)], pose: Some(Pose::IDENTITY), ..Default::default() };
+//! let reach = Method::Raycast.reach(&FuseConfig::default(), map.config(), &scan)?;
 //! pager.bring(&mut map, &reach)?;
 //! let done = Raycast::default().integrate(&mut map, &scan)?;
 //! pager.note(&map, &done.updated_blocks)?;

@@ -68,9 +68,13 @@ fn fused_with_little(
     let mut integrator = method.build(&options, Some(sensor));
     let mut taken = 0;
     for (number, scan) in (1..).zip(scans) {
-        pager.bring(map, &method.reach(&options, map.config(), scan)).unwrap();
+        pager
+            .bring(map, &method.reach(&options, map.config(), scan).unwrap())
+            .unwrap();
         if let Some(next) = scans.get(number) {
-            pager.expect(map, &method.reach(&options, map.config(), next)).unwrap();
+            pager
+                .expect(map, &method.reach(&options, map.config(), next).unwrap())
+                .unwrap();
         }
         let done = integrator.integrate(map, scan).unwrap();
         pager.note(map, &done.updated_blocks).unwrap();
@@ -189,7 +193,9 @@ fn the_mesh_of_a_map_in_parts_is_that_of_the_whole() {
         ("near", DVec3::ZERO),
         ("far", DVec3::new(691_000.0, 5_335_000.0, 520.0)),
     ] {
-        scans.iter_mut().for_each(|scan| scan.pose.translation += offset);
+        scans
+            .iter_mut()
+            .for_each(|scan| scan.pose.as_mut().unwrap().translation += offset);
         let mut paged = new_store(&dir.path().join(name));
         fused_with_little(&mut paged, Method::Raycast, &sensor, &scans, &[scans.len()]);
         let expected = fused(Method::Raycast, &sensor, &scans);

@@ -28,7 +28,7 @@ fn scan_from(pose: Pose) -> Scan {
     Scan {
         points,
         rings: Some(rings),
-        pose: pose.into(),
+        pose: Some(pose),
         ..Default::default()
     }
 }

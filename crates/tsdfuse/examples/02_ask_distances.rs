@@ -3,7 +3,7 @@
 //! `cargo run --release --example 02_ask_distances`
 
 use tsdfuse::{
-    Integrator, MapConfig, Raycast, Renderer, Scan, VoxelMap,
+    Integrator, MapConfig, Pose, Raycast, Renderer, Scan, VoxelMap,
     fuse::{Distance, RaycastConfig},
     glam::{DVec3, Vec3},
     render::Ray,
@@ -14,6 +14,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let wall = (-150..=150).flat_map(|y| (-100..=100).map(move |z| Vec3::new(2.0, 0.01 * y as f32, 0.01 * z as f32)));
     let scan = Scan {
         points: wall.collect(),
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     };
     let mut map = VoxelMap::new(MapConfig {

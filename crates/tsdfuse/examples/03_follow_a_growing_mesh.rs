@@ -19,7 +19,7 @@ fn scan_at(x: f64) -> Scan {
     };
     Scan {
         points: wall.collect(),
-        pose: pose.into(),
+        pose: Some(pose),
         ..Default::default()
     }
 }

@@ -4,7 +4,7 @@
 //! `cargo run --release --example 04_own_method`
 
 use tsdfuse::{
-    Integration, Integrator, MapConfig, Reach, Scan, VoxelMap,
+    Integration, Integrator, MapConfig, Pose, Reach, Scan, VoxelMap,
     fearless_simd::{Simd, f32x8, mask32x8, prelude::*},
     fuse::{EightVoxels, FuseError, Line, Lines, Placed, Rule, Shape, Skip, VOXEL_RADIUS},
     glam::Vec3,
@@ -80,6 +80,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let wall = (-60..=60).flat_map(|y| (-40..=40).map(move |z| Vec3::new(3.0, 0.025 * y as f32, 0.025 * z as f32)));
     let scan = Scan {
         points: wall.collect(),
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     };
     let mut map = VoxelMap::new(MapConfig::default())?;
@@ -96,7 +97,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     // Where speed does not matter, voxels can be updated one by one: here those on the rays, every half voxel.
     let mut simple = VoxelMap::new(MapConfig::default())?;
-    let (grid, anchor) = (simple.grid(), simple.grid().anchor(scan.pose.translation));
+    let (grid, anchor) = (
+        simple.grid(),
+        simple.grid().anchor(scan.world_from_sensor()?.translation),
+    );
     let anchor = anchor.ok_or("outside of the grid")?;
     let updates = scan.points.iter().flat_map(|&point| {
         (-8..8).filter_map(move |step| {

@@ -67,7 +67,7 @@ impl Integrator for Kuehner {
         scan.check()?;
         let sensor = self.beams.of(scan)?;
         let rings = rings_of(scan, sensor);
-        let world_from_sensor = world_axes(scan);
+        let world_from_sensor = world_axes(scan)?;
         let buffers = (std::mem::take(&mut self.depths_m), std::mem::take(&mut self.rings));
         let (anchor, mut image) = rayon::join(
             || placed.place(grid, scan),
