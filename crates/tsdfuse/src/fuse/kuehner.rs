@@ -23,7 +23,8 @@ use super::{
     beams::{Beams, rings_of},
     centers::{Centers, depths_at},
     depth::world_axes,
-    gather::{Gather, Near, ROW, Skip, Updates},
+    engine::Skip,
+    gather::{Gather, Near, ROW, Updates},
     placed::Placed,
 };
 use crate::{

@@ -20,9 +20,9 @@ use super::{
     beams::Beams,
     carve::{Carver, Seen},
     centers::Centers,
-    cylinder::{Row, VOXEL_RADIUS},
+    cylinder::{EightVoxels, VOXEL_RADIUS},
     depth::world_axes,
-    gather::Skip,
+    engine::Skip,
     lines::{Line, Lines, Planes, Rule, Shape},
     placed::{Order, Placed},
 };
@@ -225,7 +225,7 @@ impl Rule for AlongPatch {
     const PLANES: Planes = Planes::Four;
 
     #[inline(always)]
-    fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+    fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&EightVoxels<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let (inverse, weight) = (1.0 / self.truncation, line.weight);
         let front = line.reach;
         let behind = front * (BEHIND / FRONT);

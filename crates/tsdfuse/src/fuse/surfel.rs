@@ -16,7 +16,7 @@ use fearless_simd::{Simd, dispatch, f32x8, mask32x8, prelude::*};
 
 use super::{
     FuseError, Integration, Integrator, Skipped,
-    cylinder::{Cylinder, Row},
+    cylinder::{Cylinder, EightVoxels},
     gather::Gather,
     placed::Placed,
 };
@@ -137,7 +137,7 @@ struct Disc {
 impl Disc {
     /// For eight voxels: which are updated, with what distance over μ, and with what weight.
     #[inline(always)]
-    fn rule<S: Simd>(&self) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+    fn rule<S: Simd>(&self) -> impl Fn(&EightVoxels<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let Cylinder {
             radius, half_length, ..
         } = self.about;

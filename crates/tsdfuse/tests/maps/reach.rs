@@ -1,7 +1,7 @@
 //! What a scan can touch, before it is fused.
 
 use tsdfuse::{
-    MapConfig, Pose, Scan, VoxelMap,
+    Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap,
     fuse::{FuseConfig, Method},
     glam::{DQuat, DVec3, IVec3, Vec3},
     index::RegionIndex,
@@ -119,7 +119,7 @@ fn all_poses_of_a_sweep_count() {
     };
     scan.motion = vec![at(0.025, 10.0), at(0.05, 20.0), at(0.075, 10.0), at(0.1, 0.0)];
     let mut map = VoxelMap::new(MapConfig::default()).unwrap();
-    let mut raycast = Method::Raycast.build(&FuseConfig::default(), None);
+    let mut raycast = Raycast::default();
     let reach = raycast.reach(map.config(), &scan).unwrap();
     let done = raycast.integrate(&mut map, &scan).unwrap();
     let grid = map.grid();
