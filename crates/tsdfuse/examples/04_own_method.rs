@@ -115,7 +115,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             })
         })
     });
-    let done = simple.update(updates);
+    let done = simple.update(updates)?;
     println!(
         "{} blocks updated, {} updates left out",
         done.blocks.len(),

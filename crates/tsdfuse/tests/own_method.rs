@@ -110,7 +110,7 @@ fn single_updates_sum_up_as_the_engine_s() {
     };
     let (mut single, mut gathered) = (VoxelMap::new(config).unwrap(), VoxelMap::new(config).unwrap());
     let updates = updates();
-    let done = single.update(updates.iter().copied());
+    let done = single.update(updates.iter().copied()).unwrap();
     // Limited after each update there, after all of a block here: so few at a time that no limit is reached between.
     let mut engine = Gather::<VoxelUpdate>::default();
     let all = engine.run(
@@ -175,7 +175,7 @@ fn what_is_no_observation_is_left_out_and_counted() {
             ..good
         },
     ];
-    let done = map.update(bad);
+    let done = map.update(bad).unwrap();
     assert_eq!((done.blocks.len(), done.left_out, map.block_count()), (0, 6, 0));
     // What is too far or too heavy is limited.
     let done = map.update([
@@ -189,7 +189,7 @@ fn what_is_no_observation_is_left_out_and_counted() {
             distance_m: -9.0,
             ..good
         },
-    ]);
+    ]).unwrap();
     assert_eq!((done.blocks.len(), done.left_out), (1, 0));
     let voxel = map.voxel(good.voxel);
     assert_eq!(voxel.weight(), 3.0);

@@ -206,7 +206,7 @@ impl<T> Bucket<T> {
 
 impl<T: Item> Near<T> {
     fn clear(&mut self, limit_bytes: usize) {
-        (self.room, self.is_full) = (limit_bytes / (LANES * LIMIT_PER_NAME), false);
+        (self.room, self.is_full) = (limit_bytes / (PIECES * LIMIT_PER_NAME), false);
         self.addresses.clear();
         self.recent = [NO_ADDRESS; 64];
         for bucket in &mut self.buckets {
