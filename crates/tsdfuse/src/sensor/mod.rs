@@ -16,7 +16,7 @@ mod tables;
 pub(crate) mod testing;
 mod unorganized;
 
-pub use cylindrical::{Cylindrical, CylindricalPoint};
+pub use cylindrical::{CylindricalPoint, CylindricalProjection};
 pub use depth_image::DepthImage;
 pub use guess::guess;
 pub(crate) use image::PART;

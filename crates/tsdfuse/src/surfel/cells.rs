@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::SurfelConfig;
+use super::config::SurfelConfig;
 
 /// A point's number, and the cell it lies in. Ordered by cell, then point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3, Vec3};
 
-use super::SurfelConfig;
+use super::config::SurfelConfig;
 use crate::eigen::{Eigen, eigen};
 
 /// A planar disc, in world axes relative to the sensor's position at the scan's pose.
