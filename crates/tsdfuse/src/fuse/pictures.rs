@@ -4,7 +4,12 @@
 //! use tsdfuse::{Scan, fuse::{FuseConfig, pictures::Picture}, glam::Vec3, sensor::model};
 //! # let sensor = model("vlp16").ok_or("no such sensor")?;
 //! # let ray = |ring: usize| Vec3::new(1.0, 0.0, sensor.elevations_deg[ring].to_radians().tan());
-//! # let scan = Scan { points: (0..16).map(|ring| 5.0 * ray(ring)).collect(), rings: Some((0..16).collect()), ..Default::default() };
+//! # let scan = Scan {
+//! #     points: (0..16).map(|ring| 5.0 * ray(ring)).collect(),
+//! #     rings: Some((0..16).collect()),
+//! #     pose: Some(tsdfuse::Pose::IDENTITY),
+//! #     ..Default::default()
+//! # };
 //!
 //! let image = Picture::Filled.of(&scan, &FuseConfig::default(), Some(&sensor))?;
 //! assert_eq!(image.width, 1800); // pixels; `tsdfuse_io::png` writes them
@@ -116,7 +121,7 @@ pub fn surfels(scan: &Scan, config: &SurfelConfig, sensor: Option<&SensorModel>)
     let placed = place(scan)?;
     let mut beams = Beams::new(sensor.cloned());
     let (sensor, _) = beams.or_grid(scan)?;
-    let world_from_sensor = world_axes(scan);
+    let world_from_sensor = world_axes(scan)?;
     let mut map = SurfelMap::default();
     map.update(&placed.points, origins(&placed), world_from_sensor.z_axis, config);
     let panorama = Cylindrical::new(&sensor, 0.0, 0.0, MARGIN);
@@ -255,10 +260,10 @@ mod tests {
         Scan {
             points,
             rings: Some(rings),
-            pose: Pose {
+            pose: Some(Pose {
                 rotation: DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2),
                 translation: DVec3::new(4e5, 5e6, 300.0),
-            },
+            }),
             ..Default::default()
         }
     }
@@ -426,6 +431,7 @@ mod tests {
             points: (0..3000)
                 .map(|i| Vec3::new(random(3 * i), random(3 * i + 1), random(3 * i + 2)) * 20.0)
                 .collect(),
+            pose: Some(Pose::IDENTITY),
             ..Default::default()
         };
         for picture in Picture::ALL {

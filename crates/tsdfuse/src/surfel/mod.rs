@@ -7,8 +7,8 @@
 //!      edge of a cell     c₀   │   2c₀   │        4c₀        │   …     axis-aligned, one corner at the sensor
 //! ```
 //!
-//! The returns of one level that share a cell make one surfel, if they are enough: their mean, the direction in which they
-//! vary least as its normal, and a radius from the direction in which they vary most.
+//! The returns of one level that share a cell make one surfel if there are enough of them. Its centre is their mean, its normal the
+//! direction of their smallest variance, and its radius a multiple of their largest standard deviation.
 
 mod cells;
 mod disc;
@@ -23,10 +23,10 @@ use cells::Cell;
 
 /// How a scan becomes surfels.
 ///
-/// The defaults are those of a multi-resolution surfel map for a rotating LiDAR: cells of 0.25 m up to 16 m, doubling to 4 m
-/// beyond 128 m, so that far from the sensor a cell is seen under 0.9° to 1.8°: a few scan lines and firings. Two standard
-/// deviations of a cell evenly covered would make a disc of the cell's area; one and a half cover nearly as much of the
-/// surface, and stick out less where it ends.
+/// The defaults suit a rotating LiDAR: cells of 0.25 m up to 16 m, doubling to 4 m beyond 128 m. At long range, a cell then
+/// subtends 0.9° to 1.8°, a few scan lines and firings. In an evenly covered cell, a radius of two standard deviations makes a disc
+/// of about the area of the cell. One and a half cover nearly as much of the surface and extend less beyond its edges; one is what
+/// the thesis says.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SurfelConfig {
@@ -34,14 +34,13 @@ pub struct SurfelConfig {
     pub finest_cell_m: f32,
     /// R₀, the distance from the sensor up to which cells are of level 0; it doubles from level to level.
     pub finest_range_m: f32,
-    /// How many levels there are; what is farther away than the last one reaches belongs to it too.
+    /// The number of levels. The last level has no outer limit.
     pub levels: u32,
     /// Cells with fewer returns make no surfel.
     pub min_points: u32,
-    /// A surfel's radius, in standard deviations along its longest axis.
+    /// The radius of a surfel, in standard deviations along its longest axis. 1 is the thesis's literal form.
     pub radius_sigmas: f32,
-    /// Thesis 7.5: surfels below the sensor that look down, as measured by its own axes, are flipped. For vehicles on a road
-    /// that drops away before them.
+    /// Thesis 7.5: surfels below the sensor that face down, both in the sensor's own axes, are flipped. For vehicles on a road.
     pub ground_flip: bool,
 }
 
@@ -130,7 +129,7 @@ impl SurfelConfig {
     }
 }
 
-/// The surfels of one scan; kept from scan to scan for its buffers.
+/// The surfels of one scan. Reuse it from scan to scan: it keeps its buffers.
 #[derive(Debug, Default)]
 pub struct SurfelMap {
     cells: Vec<Cell>,
@@ -141,7 +140,7 @@ pub struct SurfelMap {
 }
 
 impl SurfelMap {
-    /// Makes the surfels of a scan in place of those that were there.
+    /// Replaces the surfels by those of a scan.
     ///
     /// `points` are deskewed: in world axes relative to the sensor's position at the scan's pose, metres. `origins` are where
     /// their rays began, in the same frame; without them all began at zero. `up` is the sensor's z axis in these axes. The
@@ -152,9 +151,10 @@ impl SurfelMap {
         self.too_few = 0;
         let mut first = 0;
         for group in self.cells.chunk_by(|a, b| a.key == b.key) {
-            match group.len() >= config.min_points as usize {
-                true => self.groups.push((first, first + group.len())),
-                false => self.too_few += group.len() as u64,
+            if group.len() >= config.min_points as usize {
+                self.groups.push((first, first + group.len()));
+            } else {
+                self.too_few += group.len() as u64;
             }
             first += group.len();
         }
