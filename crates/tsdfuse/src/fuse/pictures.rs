@@ -4,7 +4,12 @@
 //! use tsdfuse::{Scan, fuse::{FuseConfig, pictures::Picture}, glam::Vec3, sensor::model};
 //! # let sensor = model("vlp16").ok_or("no such sensor")?;
 //! # let ray = |ring: usize| Vec3::new(1.0, 0.0, sensor.elevations_deg[ring].to_radians().tan());
-//! # let scan = Scan { points: (0..16).map(|ring| 5.0 * ray(ring)).collect(), rings: Some((0..16).collect()), ..Default::default() };
+//! # let scan = Scan {
+//! #     points: (0..16).map(|ring| 5.0 * ray(ring)).collect(),
+//! #     rings: Some((0..16).collect()),
+//! #     pose: Some(tsdfuse::Pose::IDENTITY),
+//! #     ..Default::default()
+//! # };
 //!
 //! let image = Picture::Filled.of(&scan, &FuseConfig::default(), Some(&sensor))?;
 //! assert_eq!(image.width, 1800); // pixels; `tsdfuse_io::png` writes them
@@ -25,7 +30,7 @@ use crate::{
     normals::{NormalsConfig, estimate},
     render::{Image, Pixels, normal_color, viridis},
     scan::Scan,
-    sensor::{Cylindrical, ScanImage, SensorModel},
+    sensor::{CylindricalProjection, ScanImage, SensorModel},
     surfel::{Surfel, SurfelConfig, SurfelMap},
 };
 
@@ -116,10 +121,10 @@ pub fn surfels(scan: &Scan, config: &SurfelConfig, sensor: Option<&SensorModel>)
     let placed = place(scan)?;
     let mut beams = Beams::new(sensor.cloned());
     let (sensor, _) = beams.or_grid(scan)?;
-    let world_from_sensor = world_axes(scan);
+    let world_from_sensor = world_axes(scan)?;
     let mut map = SurfelMap::default();
     map.update(&placed.points, origins(&placed), world_from_sensor.z_axis, config);
-    let panorama = Cylindrical::new(&sensor, 0.0, 0.0, MARGIN);
+    let panorama = CylindricalProjection::new(&sensor, 0.0, 0.0, MARGIN);
     let mut nearest = vec![(f32::INFINITY, [0; 3]); panorama.rows() * panorama.columns()];
     for surfel in map.surfels() {
         splat(surfel, &panorama, world_from_sensor, &mut nearest);
@@ -202,7 +207,7 @@ fn depth_color(depth_m: f32) -> Option<[u8; 3]> {
 }
 
 /// Draws a disc into a panorama of depths and colours, behind nearer ones.
-fn splat(surfel: &Surfel, panorama: &Cylindrical, world_from_sensor: Mat3, nearest: &mut [(f32, [u8; 3])]) {
+fn splat(surfel: &Surfel, panorama: &CylindricalProjection, world_from_sensor: Mat3, nearest: &mut [(f32, [u8; 3])]) {
     let [center, normal] = [surfel.center, surfel.normal].map(|v| world_from_sensor.transpose() * v);
     let (radius, distance) = (surfel.radius_m, center.truncate().length());
     let (columns, rows) = (panorama.columns(), panorama.rows());
@@ -255,10 +260,10 @@ mod tests {
         Scan {
             points,
             rings: Some(rings),
-            pose: Pose {
+            pose: Some(Pose {
                 rotation: DQuat::from_rotation_z(std::f64::consts::FRAC_PI_2),
                 translation: DVec3::new(4e5, 5e6, 300.0),
-            },
+            }),
             ..Default::default()
         }
     }
@@ -317,7 +322,7 @@ mod tests {
     #[test]
     fn nearer_discs_hide_farther_ones_and_flipped_ones_show() {
         let sensor = model("vlp16").unwrap();
-        let panorama = Cylindrical::new(&sensor, 0.0, 0.0, MARGIN);
+        let panorama = CylindricalProjection::new(&sensor, 0.0, 0.0, MARGIN);
         let disc = |x: f32, radius_m: f32, normal: Vec3| Surfel {
             center: Vec3::new(x, 0.0, 0.0),
             normal,
@@ -426,6 +431,7 @@ mod tests {
             points: (0..3000)
                 .map(|i| Vec3::new(random(3 * i), random(3 * i + 1), random(3 * i + 2)) * 20.0)
                 .collect(),
+            pose: Some(Pose::IDENTITY),
             ..Default::default()
         };
         for picture in Picture::ALL {
