@@ -100,7 +100,7 @@ fn the_mesh_of_a_map_in_parts_is_that_of_the_whole() {
         ("near", DVec3::ZERO),
         ("far", DVec3::new(691_000.0, 5_335_000.0, 520.0)),
     ] {
-        scans.iter_mut().for_each(|scan| scan.pose.translation += offset);
+        scans.iter_mut().for_each(|scan| scan.pose.as_mut().unwrap().translation += offset);
         let mut paged = new_store(&dir.path().join(name));
         fused_with_little(&mut paged, Method::Raycast, &sensor, &scans, &[scans.len()]);
         let expected = fused(Method::Raycast, &sensor, &scans);
