@@ -41,7 +41,7 @@ impl Integrator for DropOff {
                 })
             },
             &AlongRay,
-        ))
+        )?)
     }
 
     fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {

@@ -2,8 +2,11 @@
 
 use glam::IVec3;
 
-use super::{OutOfMemory, block::fixed, error::MAX_BLOCK, voxel_map::VoxelMap};
-use crate::index::{BlockIndex, in_region, local_number, shard_of};
+use super::{block::fixed, error::MAX_BLOCK, voxel_map::VoxelMap};
+use crate::{
+    index::{BlockIndex, in_region, local_number, shard_of},
+    memory::OutOfMemory,
+};
 
 /// An observation of one voxel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,8 +36,9 @@ impl VoxelMap {
     /// [`fuse::Lines`](crate::fuse::Lines) and [`fuse::Gather`](crate::fuse::Gather) for the fast ones.
     ///
     /// # Errors
-    /// [`OutOfMemory`]; the map then holds the updates so far.
+    /// There is no memory for a block; the updates before it are made.
     ///
+    /// # Examples
     /// ```
     /// use tsdfuse::{MapConfig, VoxelMap, glam::IVec3, map::VoxelUpdate};
     /// let mut map = VoxelMap::new(MapConfig::default())?;
