@@ -3,11 +3,14 @@
 use std::fmt::{self, Display};
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 /// Every `step`-th scan of `from..to`, without the middle one of each `hold_out` of these. Works without knowing how many
 /// scans there are. The default selects all.
 ///
 /// Written and parsed as `FROM..TO:STEP`; `FROM`, `TO` and `:STEP` may be left out. (The held-out scans are no part of the text.)
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Selection {
     /// The first scan.
     pub from: usize,

@@ -5,6 +5,7 @@
 
 use std::path::PathBuf;
 
+use serde::{Deserialize, Serialize};
 use tsdfuse::glam::{DQuat, DVec3};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Pose, Scan, SensorModel, Trajectory};
@@ -12,7 +13,8 @@ use tsdfuse::{Pose, Scan, SensorModel, Trajectory};
 use crate::error::{Error, Result};
 
 /// How to open a log; the default asks for nothing in particular.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct OpenOptions {
     /// Poses to use instead of those in the log (TUM or KITTI text).
     pub poses: Option<PathBuf>,

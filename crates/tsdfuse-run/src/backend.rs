@@ -54,6 +54,7 @@ impl Failed {
     pub(crate) fn of(error: FuseError) -> Self {
         match error {
             FuseError::Config(reason) => Self::Run(RunError::Config(reason)),
+            FuseError::OutOfMemory(error) => Self::Run(RunError::Full(error.to_string())),
             error => Self::Scan(error),
         }
     }

@@ -127,7 +127,7 @@ impl Backend for OnGpu {
         let host = match &mut self.host {
             Some(host) => {
                 for (index, block) in self.fuser.map().download_blocks(updated)? {
-                    host.set_block(index, block)?;
+                    host.replace_block(index, block)?;
                 }
                 host
             }

@@ -9,7 +9,7 @@ use tsdfuse::{Scan, VoxelMap};
 use tsdfuse_io::map_file;
 
 use crate::backend::{Backend, Failed, Integrators, Settled, follow};
-use crate::error::Result;
+use crate::error::{Result, RunError};
 use crate::report::{MapReport, MeshReport, SavedMap};
 use crate::surface;
 use crate::view::{self, See};
@@ -44,9 +44,12 @@ impl Backend for InMemory {
     }
 
     fn finish(&mut self) -> Result<Vec<BlockIndex>> {
-        let map = &mut self.map;
-        let updated = self.integrators.all().flat_map(|method| method.finish(map).updated_blocks);
-        Ok(updated.collect())
+        let mut updated = Vec::new();
+        for method in self.integrators.all() {
+            let done = method.finish(&mut self.map).map_err(|error| RunError::Full(error.to_string()))?;
+            updated.extend(done.updated_blocks);
+        }
+        Ok(updated)
     }
 
     fn follow(&mut self, updated: &[BlockIndex], changes: &mut Changes) -> Result<()> {

@@ -137,7 +137,7 @@ impl Backend for Paged {
         surface.changes(map, changes);
         let mut known: Vec<BlockIndex> = updated.iter().flat_map(|&block| around(block, 1)).collect();
         known.sort_unstable();
-        changes.retain(|piece| known.binary_search(&piece.block).is_ok());
+        changes.retain(|block| known.binary_search(&block).is_ok());
         Ok(())
     }
 

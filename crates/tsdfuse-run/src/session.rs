@@ -7,7 +7,7 @@ use std::time::Instant;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Mesh};
 use tsdfuse::{Pose, Scan, SensorModel, VoxelMap};
-use tsdfuse_io::{Log, ReadAhead, ReadScan, Selection};
+use tsdfuse_io::{Log, ReadAhead, ReadScan};
 use tsdfuse_store::PagedMap;
 
 use crate::backend::{Backend, Failed, Integrators, Settled};

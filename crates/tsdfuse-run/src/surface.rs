@@ -161,7 +161,7 @@ mod tiles {
     use crate::report::{MeshReport, TilesReport};
 
     pub(super) fn check(path: &Path) -> Result<()> {
-        tsdfuse_tiles::check(path).map_err(RunError::config)
+        tsdfuse_tiles::check(path).map(drop).map_err(RunError::config)
     }
 
     pub(super) fn write(path: &Path, surface: &mut Surface<'_>) -> Result<MeshReport> {

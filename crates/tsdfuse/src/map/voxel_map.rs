@@ -70,6 +70,18 @@ impl VoxelMap {
         (self.integrations, self.config.max_weight_sum())
     }
 
+    /// Puts a block into the map, in place of the one that is there.
+    ///
+    /// # Errors
+    /// As [`Self::insert_block`], but the block may be there already.
+    pub fn replace_block(&mut self, index: BlockIndex, block: Block) -> Result<(), MapError> {
+        check_block(index, &block)?;
+        let shard = &mut self.shards[shard_of(index)];
+        let slot = shard.slot_or_insert(index)?;
+        shard.blocks[slot as usize] = block;
+        Ok(())
+    }
+
     /// How many scans (or images made of scans) were fused so far. Methods that do something once in so many scans go by
     /// it, so that a map that is continued elsewhere must take it along.
     pub fn integrations(&self) -> u32 {

@@ -43,6 +43,11 @@ impl Changes {
         })
     }
 
+    /// Keeps only the pieces of blocks that are wanted.
+    pub fn retain(&mut self, is_wanted: impl Fn(BlockIndex) -> bool) {
+        self.entries.retain(|entry| is_wanted(entry.block));
+    }
+
     /// How many pieces there are.
     pub fn len(&self) -> usize {
         self.entries.len()
