@@ -33,7 +33,7 @@ impl Wall {
         };
         Self {
             scans: (0..scans).map(scan).collect(),
-            sensors: vec![Sensor::default()],
+            sensors: vec![Sensor::new("wall")],
             unreadable: BTreeSet::new(),
             too_far: BTreeSet::new(),
         }
