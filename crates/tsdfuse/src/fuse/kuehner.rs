@@ -1,4 +1,4 @@
-//! CylindricalProjection projection as Kühner and Kümmerle have it (2020; thesis 4.2).
+//! Cylindrical projection as Kühner and Kümmerle have it (2020; thesis 4.2).
 //!
 //! A scan becomes a cylindrical depth image of square pixels about the **centre of projection**: the point of the sensor's axis
 //! from which the squared distances to all beams are least. Empty pixels take the depth of the nearest filled pixel above or
@@ -31,7 +31,7 @@ use crate::{
     map::{MapConfig, VoxelMap},
     reach::Reach,
     scan::Scan,
-    sensor::{CylindricalPoint, CylindricalProjection, PART, SensorModel, approx::sin_cos},
+    sensor::{CylindricalPoint, CylindricalProjection as Cylindrical, PART, SensorModel, approx::sin_cos},
 };
 
 /// The integrator of dense cylindrical depth images.
@@ -158,7 +158,7 @@ fn center_of_projection(points: &[Vec3], rings: &[u16], sensor: &SensorModel) ->
 /// A cylindrical depth image: ρ per pixel, 0 where there is none, column by column.
 #[derive(Debug)]
 struct Image {
-    projection: CylindricalProjection,
+    projection: Cylindrical,
     depths_m: Vec<f32>,
     /// The beam that measured a pixel.
     rings: Vec<u16>,
@@ -187,8 +187,8 @@ impl Image {
             .map_or(0.0, |r| r[1])
             .max(reach.last().map_or(0.0, |r| r[0]))
             * pitch;
-        let phase = CylindricalProjection::phase_of(&scan.points, sensor.columns);
-        let projection = CylindricalProjection::new(sensor, center_z_m, phase, margin);
+        let phase = Cylindrical::phase_of(&scan.points, sensor.columns);
+        let projection = Cylindrical::new(sensor, center_z_m, phase, margin);
         let pixels = projection.rows() * projection.columns();
         let (mut depths_m, mut of_ring) = buffers;
         depths_m.clear();
