@@ -41,11 +41,11 @@ impl Viewer {
         for piece in changes.iter().filter(|piece| listens(piece.block)) {
             let used: BTreeSet<u32> = piece.triangles.iter().flatten().copied().collect();
             assert!(used.into_iter().eq(0..piece.vertices.len() as u32), "no vertex is idle");
-            let old = match piece.triangles.is_empty() {
-                true => self.pieces.remove(&piece.block),
-                false => self
-                    .pieces
-                    .insert(piece.block, triangles(piece.vertices, piece.normals, piece.triangles)),
+            let old = if piece.triangles.is_empty() {
+                self.pieces.remove(&piece.block)
+            } else {
+                let shown = triangles(piece.vertices, piece.normals, piece.triangles);
+                self.pieces.insert(piece.block, shown)
             };
             self.gained += usize::from(old.is_none());
             self.lost += usize::from(piece.triangles.is_empty());

@@ -32,20 +32,20 @@ pub const INSIDE: f32 = 0.2;
 /// A ray passes a voxel if it is at most this far from its centre, in voxels.
 pub const BESIDE: f32 = 0.6;
 
-/// A ray tells nothing about voxels that are nearer than this to its end or to the plane that it ends on, in voxels: pose and range are
-/// not known better.
+/// A ray tells nothing about voxels nearer than this to its end, or to the plane that it ends on, in voxels: pose and range are not
+/// known more precisely.
 pub const MARGIN: f32 = 2.5;
 
-/// Of less weight than this, a voxel is forgotten: 1/100, a return at 100 m.
+/// A voxel whose weight falls below this is reset: 1/100, a return at 100 m.
 pub const FORGOTTEN: u32 = WEIGHT_SCALE / 100;
 
-/// A block is looked at in one of this many scans: one that the scan did not update, and one that it did.
+/// A block is examined in one of this many scans: the first if the scan did not update it, the second if it did.
 pub const TURNS: [u32; 2] = [2, 6];
 
-/// What is left of sums that are contradicted, as a divisor.
+/// Sums that are contradicted are divided by this.
 pub const LEFT: i32 = 16;
 
-/// Of a block that a scan did not update, this many voxels passed make that all of it is doubted.
+/// If rays pass this many inside voxels of a block that the scan did not update, the whole block fades.
 pub const MIN_PASSED: usize = 5;
 
 /// Bins of elevation, per radian.

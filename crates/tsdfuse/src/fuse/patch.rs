@@ -193,7 +193,7 @@ impl Integrator for Patch {
             },
             &AlongPatch { truncation },
         )?;
-        // Those between returns are none.
+        // Patches between returns do not count as returns.
         done.fused_returns = done.fused_returns.saturating_sub((patches.len() - returns) as u64);
         if self.config.carve {
             let centers = Centers {

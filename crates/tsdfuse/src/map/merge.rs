@@ -32,7 +32,7 @@ impl VoxelMap {
     /// Adds the observations of a block of another map; tells how many voxels would have gone beyond `max_weight`.
     ///
     /// # Errors
-    /// As [`VoxelMap::insert_block`], which see; but the block may be there.
+    /// Like [`VoxelMap::insert_block`], but the block may already exist.
     pub fn add_block(&mut self, index: BlockIndex, block: &Block) -> Result<u64, MapError> {
         check_block(index, block)?;
         let limit = self.config.max_weight_sum();

@@ -16,7 +16,16 @@ use crate::{
     memory::Pool,
 };
 
-/// A truncated signed distance field in voxel blocks.
+/// A truncated signed distance field: for each voxel near an observed surface, the signed distance from its centre to that surface,
+/// positive on the side that was seen, and how much that was observed (its weight).
+///
+/// - *Fill it* with an [`Integrator`](crate::Integrator), scan by scan, or voxel by voxel with [`Self::update`].
+/// - *Ask it:* [`Self::sample`] and [`Self::sample_all`] for the distance at any point, [`Self::voxels`] and [`Self::blocks`] for
+///   all that was observed, [`Self::dense`] for a box as arrays; [`mesh::extract`](crate::mesh::extract) for its surface,
+///   [`Renderer`](crate::Renderer) for rays and views.
+/// - *Change it:* [`Self::cropped`], [`Self::resampled`], [`Self::transformed`], [`Self::merge`].
+///
+/// Voxels are stored in blocks of 8³, and blocks only where something was observed; see [`crate::index`] for how they are numbered.
 ///
 /// ```
 /// use tsdfuse::map::{MapConfig, VoxelMap};

@@ -39,7 +39,7 @@ pub struct CylindricalProjection {
     towards: Vec<Vec2>,
 }
 
-/// Where a point is seen in a [`CylindricalProjection`] image.
+/// Where a point is seen in a [`CylindricalProjection`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CylindricalPoint {
     /// In [−½, columns − ½).

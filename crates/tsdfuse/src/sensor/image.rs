@@ -62,9 +62,9 @@ impl ScanImage {
     /// Builds the image of returns in the sensor frame at their own time (metres), one ring number each.
     ///
     /// `model` has passed [`SensorModel::check`]. Where two returns fall into one cell, the one nearer to the cell's
-    /// middle stays. The other moves to the cell on its side, if that is empty and if they are of two firings (sensors
-    /// that round azimuths have many that close, such as the HDL-64E), the first one of several; else
-    /// [`ScanImage::collisions`] counts it.
+    /// middle stays. The other takes the free neighbouring cell on its side if it came from another firing (sensors that round
+    /// azimuths, such as the HDL-64E, have many firings that close; of several, the first one moves). Otherwise it counts as a
+    /// collision ([`ScanImage::collisions`]).
     pub fn update(&mut self, points: &[Vec3], rings: &[u16], model: &SensorModel) {
         self.columns = model.columns as usize;
         self.cells.clear();
