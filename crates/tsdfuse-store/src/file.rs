@@ -86,6 +86,13 @@ pub(crate) fn lock(file: &File, is_written: bool) -> io::Result<()> {
     Err(io::Error::other("another process has it open"))
 }
 
+/// Makes sure that a new name outlives a power failure, where the system can do that.
+fn sync_folder(path: &Path) {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    // Some systems cannot open folders, some file systems cannot sync them.
+    let _ = File::open(folder.unwrap_or(Path::new("."))).and_then(|folder| folder.sync_all());
+}
+
 impl StoreFile {
     /// Makes a store, which appears with its first commit.
     pub(crate) fn create(path: &Path, state: State) -> Result<Self> {
@@ -97,7 +104,12 @@ impl StoreFile {
         let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
         let make = || {
             let mut options = OpenOptions::new();
-            let file = options.read(true).write(true).create(true).truncate(true).open(&temporary);
+            let file = options
+                .read(true)
+                .write(true)
+                .create(true)
+                .truncate(true)
+                .open(&temporary);
             let file = file.map_err(&wrong)?;
             lock(&file, true).map_err(&wrong)?;
             let mut store = Self {
@@ -111,6 +123,7 @@ impl StoreFile {
             };
             store.commit(state)?;
             std::fs::rename(&temporary, path).map_err(&wrong)?;
+            sync_folder(path);
             Ok(store)
         };
         let made = make();
@@ -134,7 +147,15 @@ impl StoreFile {
         let (header, is_whole) = header(&file).map_err(damaged)?;
         let index = read_index(&file, &header).map_err(|reason| damaged(format!("its index: {reason}")))?;
         let extents = index.regions.iter().map(|row| row.extent).chain(header.index);
-        let space = Space::without(FIRST_PAGE, extents).ok_or_else(|| damaged("its index contradicts itself".to_owned()))?;
+        let end = extents
+            .clone()
+            .map(|extent| extent.offset.saturating_add(extent.length))
+            .max();
+        if end > Some(file.metadata().map_err(&wrong)?.len()) {
+            return Err(damaged("the file ends early".to_owned()));
+        }
+        let space =
+            Space::without(FIRST_PAGE, extents).ok_or_else(|| damaged("its index contradicts itself".to_owned()))?;
         let stored = |&row: &Row| {
             let is_committed = true;
             (row.index, Stored { row, is_committed })
@@ -194,13 +215,17 @@ impl StoreFile {
             region: index,
             reason,
         };
-        let stored = self.regions.get(&index).ok_or_else(|| wrong("is not there".to_owned()))?;
+        let stored = self
+            .regions
+            .get(&index)
+            .ok_or_else(|| wrong("is not there".to_owned()))?;
         let mut blocks = RegionBlocks::new(index, pool);
         read_region(&self.file, &stored.row, |index, block| blocks.insert(index, &block)).map_err(wrong)?;
         Ok(blocks)
     }
 
-    /// Makes everything that was written the state of the map. When this returns, no crash takes it away; until then, the last commit is there.
+    /// Makes everything that was written the state of the map. When this returns, no crash takes it away; until then,
+    /// the last commit is there.
     pub(crate) fn commit(&mut self, state: State) -> Result<()> {
         let path = self.path.clone();
         let wrong = StoreError::file(&path);
@@ -262,7 +287,9 @@ pub(crate) fn header(file: &File) -> Result<(Header, bool), String> {
     };
     let mut start = [0; 4];
     let mut reader = file;
-    let read_start = reader.seek(SeekFrom::Start(0)).and_then(|_| reader.read_exact(&mut start));
+    let read_start = reader
+        .seek(SeekFrom::Start(0))
+        .and_then(|_| reader.read_exact(&mut start));
     if read_start.is_ok() && is_earlier(&start) {
         return Err("this store was written by an earlier version of tsdfuse; run it again".to_owned());
     }
@@ -282,7 +309,9 @@ pub(crate) fn read_index(file: &File, header: &Header) -> Result<Index, String> 
     let read = |extent| {
         let index = read_bytes(file, extent).and_then(|bytes| Index::parse(&bytes))?;
         let is_right = index.sequence == header.sequence;
-        is_right.then_some(index).ok_or_else(|| "it belongs to another commit".to_owned())
+        is_right
+            .then_some(index)
+            .ok_or_else(|| "it belongs to another commit".to_owned())
     };
     let [first, second] = header.index;
     read(first).or_else(|reason| read(second).map_err(|_| reason))
@@ -305,6 +334,9 @@ pub(crate) fn read_region(
     let mut blocks = 0;
     let counted = |index, block| {
         blocks += 1;
+        if blocks > row.sizes.blocks {
+            return Err(MapError::Occupied { block: index });
+        }
         take(index, block)
     };
     unpack(header.packed(&record)?, counted).map_err(|e| e.to_string())?;
@@ -323,6 +355,8 @@ pub(crate) fn read_bytes(mut file: &File, extent: Extent) -> Result<Vec<u8>, Str
     let length = extent.length as usize;
     bytes.try_reserve_exact(length).map_err(|e| e.to_string())?;
     bytes.resize(length, 0);
-    let read = file.seek(SeekFrom::Start(extent.offset)).and_then(|_| file.read_exact(&mut bytes));
+    let read = file
+        .seek(SeekFrom::Start(extent.offset))
+        .and_then(|_| file.read_exact(&mut bytes));
     read.map_err(system).map(|()| bytes)
 }

@@ -13,14 +13,13 @@ use tsdfuse_io::{atomic, map_file::Writer};
 
 use crate::error::{Result, StoreError};
 use crate::file::{header, lock, read_bytes, read_index, read_region};
-use crate::format::{
-    Extent, INDEX_HEADER, INDEX_MARK, Index, PAGE, REGION_HEADER, REGION_MARK, RegionHeader, Row,
-};
+use crate::format::{Extent, INDEX_HEADER, INDEX_MARK, Index, PAGE, REGION_HEADER, REGION_MARK, RegionHeader, Row};
 
 /// The intact regions of a damaged store.
 ///
-/// As long as one copy of the index is intact, this is the last commit without the regions that are lost, each of which is known. Without any index, the whole
-/// file is searched for regions, and the newest intact version of each is used: some may be from before the last commit, or from after it.
+/// As long as one copy of the index is intact, this is the last commit without the regions that are lost, each of which
+/// is known. Without any index, the whole file is searched for regions, and the newest intact version of each is used:
+/// some may be from before the last commit, or from after it.
 #[derive(Debug)]
 pub struct Salvage {
     path: PathBuf,
@@ -53,7 +52,8 @@ impl Salvage {
     /// Reads all of a store, and finds out which regions are intact.
     ///
     /// # Errors
-    /// [`StoreError::File`] if the file cannot be read, [`StoreError::Damaged`] if neither its header nor its index is intact, or if it is no store.
+    /// [`StoreError::File`] if the file cannot be read, [`StoreError::Damaged`] if neither its header nor its index is
+    /// intact, or if it is no store.
     pub fn scan(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let wrong = StoreError::file(path);
@@ -171,9 +171,7 @@ impl Salvage {
                 region: row.index,
                 reason,
             })?;
-            blocks
-                .drain(..)
-                .try_for_each(|(index, block)| visit(index, block))?;
+            blocks.drain(..).try_for_each(|(index, block)| visit(index, block))?;
         }
         Ok(())
     }
@@ -218,7 +216,9 @@ impl Found {
         let pages = file.metadata()?.len().div_ceil(PAGE);
         for offset in (0..pages).map(|page| page * PAGE) {
             let mut start = [0; INDEX_HEADER];
-            let read = file.seek(SeekFrom::Start(offset)).and_then(|_| file.read_exact(&mut start));
+            let read = file
+                .seek(SeekFrom::Start(offset))
+                .and_then(|_| file.read_exact(&mut start));
             if read.is_err() {
                 continue;
             }
@@ -243,7 +243,11 @@ impl Found {
 
     fn try_region(&mut self, file: &File, offset: u64, start: &[u8]) -> Result<(), String> {
         let header = RegionHeader::parse(start)?;
-        if self.regions.get(&header.index).is_some_and(|(known, _)| *known > header.sequence) {
+        if self
+            .regions
+            .get(&header.index)
+            .is_some_and(|(known, _)| *known > header.sequence)
+        {
             return Ok(());
         }
         let length = REGION_HEADER as u64 + u64::from(header.length);

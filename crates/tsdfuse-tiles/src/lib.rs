@@ -1,5 +1,5 @@
-//! Surfaces that are too large for one file, as [3D Tiles 1.1](https://docs.ogc.org/cs/22-025r4/22-025r4.html). Web viewers load only the tiles and the
-//! level of detail that are in view.
+//! Surfaces that are too large for one file, as [3D Tiles 1.1](https://docs.ogc.org/cs/22-025r4/22-025r4.html). Web
+//! viewers load only the tiles and the level of detail that are in view.
 //!
 //! ```text
 //!   level 0      level 1            level 2
@@ -10,10 +10,11 @@
 //!   as it is     then simplified
 //! ```
 //!
-//! The tree is built from the leaves to the root, cube by cube, and a tile is written as soon as its parent exists. So both the map and the tiles
-//! can be larger than memory. Tiles that fit into one tile are joined.
+//! The tree is built from the leaves to the root, cube by cube, and a tile is written as soon as its parent exists. So
+//! both the map and the tiles can be larger than memory. Tiles that fit into one tile are joined.
 //!
-//! Where tiles meet, all levels keep the vertices of the finest one, so there are no cracks between tiles of different levels.
+//! Where tiles meet, all levels keep the vertices of the finest one, so there are no cracks between tiles of different
+//! levels.
 //!
 //! ```
 //! use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3, mesh::{MeshConfig, Surface}};
@@ -36,6 +37,10 @@ mod simplify;
 mod tile;
 mod tileset;
 mod write;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
 
 pub use error::{Result, TilesError};
 pub use write::{Written, check, write};

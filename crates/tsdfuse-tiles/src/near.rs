@@ -8,7 +8,10 @@ use tsdfuse::mesh::triangle::{area, closest_on};
 
 /// Whether a triangle of the mesh is no farther from each of `points` than this. No point is near a mesh without area.
 pub(crate) fn are_within(mesh: &Mesh, points: &[DVec3], distance_m: f64) -> Vec<bool> {
-    let triangles = mesh.triangles.iter().map(|t| Triangle(t.map(|v| mesh.vertices[v as usize])));
+    let triangles = mesh
+        .triangles
+        .iter()
+        .map(|t| Triangle(t.map(|v| mesh.vertices[v as usize])));
     let triangles: Vec<Triangle> = triangles.collect();
     let area_m2: f64 = triangles.iter().map(|t| area(t.0)).sum();
     if !(area_m2 > 0.0) {

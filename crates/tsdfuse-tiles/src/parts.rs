@@ -22,7 +22,8 @@ pub(crate) fn without_specks(mesh: &Mesh, kept: &[bool], size_m: f64) -> Mesh {
     compact(mesh, &mesh.triangles.iter().filter(stays).copied().collect::<Vec<_>>())
 }
 
-/// Connected components as a forest of disjoint sets: for each vertex another vertex of its component, in the end the lowest.
+/// Connected components as a forest of disjoint sets: for each vertex another vertex of its component, in the end the
+/// lowest.
 struct Parts(Vec<u32>);
 
 impl Parts {

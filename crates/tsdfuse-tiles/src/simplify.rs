@@ -1,7 +1,8 @@
 //! Simplifying a mesh within a tolerance.
 //!
-//! Edges are collapsed, starting with the one that changes the surface least (Garland and Heckbert 1997, as implemented by `meshopt`). Its error
-//! measure is a mean, so the result is measured, and triangles whose vertices ended up too far from it are put back.
+//! Edges are collapsed, starting with the one that changes the surface least (Garland and Heckbert 1997, as implemented
+//! by `meshopt`). Its error measure is a mean, so the result is measured, and triangles whose vertices ended up too far
+//! from it are put back.
 
 use bytemuck::cast_slice;
 use meshopt::{SimplifyOptions, VertexDataAdapter, simplify_with_locks};
@@ -13,8 +14,9 @@ use crate::compact::compact;
 use crate::near::are_within;
 use crate::parts::without_specks;
 
-/// A mesh of about `triangles` triangles, or of more if the tolerance needs them. Every vertex of `mesh` is within the tolerance of the result,
-/// unless it belongs to a component of the surface that is smaller than the tolerance. No vertex moves, and vertices to `keep` are kept.
+/// A mesh of about `triangles` triangles, or of more if the tolerance needs them. Every vertex of `mesh` is within the
+/// tolerance of the result, unless it belongs to a component of the surface that is smaller than the tolerance. No
+/// vertex moves, and vertices to `keep` are kept.
 pub(crate) fn simplified(mesh: &Mesh, triangles: usize, tolerance_m: f64, keep: impl Fn(DVec3) -> bool) -> Mesh {
     let keep_all = |mesh: &Mesh| mesh.vertices.iter().map(|v| keep(*v)).collect::<Vec<bool>>();
     let mesh = without_specks(mesh, &keep_all(mesh), tolerance_m);
@@ -27,8 +29,8 @@ pub(crate) fn simplified(mesh: &Mesh, triangles: usize, tolerance_m: f64, keep: 
     compact(&Mesh { normals, ..mesh }, &few)
 }
 
-/// Normals for larger triangles: the mean of the triangles around each vertex, weighted by area. Kept vertices keep their normals, so that they look
-/// the same in the tile next to this one.
+/// Normals for larger triangles: the mean of the triangles around each vertex, weighted by area. Kept vertices keep
+/// their normals, so that they look the same in the tile next to this one.
 fn normals(mesh: &Mesh, triangles: &[[u32; 3]], kept: &[bool]) -> Vec<Vec3> {
     let mut sums = vec![DVec3::ZERO; mesh.vertices.len()];
     for corners in triangles {
@@ -47,7 +49,8 @@ fn normals(mesh: &Mesh, triangles: &[[u32; 3]], kept: &[bool]) -> Vec<Vec3> {
     both.map(normal).collect()
 }
 
-/// Collapses edges between vertices that are not kept, until at most `triangles` triangles or no such edges are left. Returns the triangles.
+/// Collapses edges between vertices that are not kept, until at most `triangles` triangles or no such edges are left.
+/// Returns the triangles.
 fn collapsed(mesh: &Mesh, triangles: usize, kept: &[bool]) -> Vec<[u32; 3]> {
     let middle = Bounds::of(&mesh.vertices).middle();
     let relative = |v: &DVec3| (v - middle).as_vec3().to_array();

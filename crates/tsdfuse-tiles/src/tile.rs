@@ -104,7 +104,8 @@ impl Tile {
         }))
     }
 
-    /// The largest distance between its mesh and the finest one, metres: the voxel size at its height, plus f32 rounding.
+    /// The largest distance between its mesh and the finest one, metres: the voxel size at its height, plus f32
+    /// rounding.
     fn error_m(&self, grid: Grid) -> f64 {
         match self.height {
             0 => 0.0,

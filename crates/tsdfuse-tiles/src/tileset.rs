@@ -80,7 +80,8 @@ impl BoundingVolume {
 }
 
 impl Tileset {
-    /// The tileset of a tree of tiles whose origin is at `origin` in the world. `size_m` is the error of showing nothing at all.
+    /// The tileset of a tree of tiles whose origin is at `origin` in the world. `size_m` is the error of showing
+    /// nothing at all.
     pub(crate) fn new(mut root: Node, origin: DVec3, size_m: f64) -> Self {
         let DVec3 { x, y, z } = origin;
         root.transform = Some([1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, z, 1.0]);

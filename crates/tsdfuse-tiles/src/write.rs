@@ -44,11 +44,12 @@ pub fn check(tileset: &Path) -> Result<&Path> {
     Ok(folder)
 }
 
-/// Writes a surface as 3D Tiles: `tileset` (`NAME/tileset.json`) and the tiles beside it. The folder appears once it is complete.
+/// Writes a surface as 3D Tiles: `tileset` (`NAME/tileset.json`) and the tiles beside it. The folder appears once it is
+/// complete.
 ///
 /// # Errors
-/// As [`check`]; [`TilesError::Surface`] if the map cannot be read, [`TilesError::NoSurface`] if it has no surface, [`TilesError::File`] if a file cannot be
-/// written.
+/// As [`check`]; [`TilesError::Surface`] if the map cannot be read, [`TilesError::NoSurface`] if it has no surface,
+/// [`TilesError::File`] if a file cannot be written.
 pub fn write(tileset: &Path, surface: &mut Surface<'_>) -> Result<Written> {
     let folder = Folder::begin(check(tileset)?)?;
     let mut cubes = surface.cubes();
