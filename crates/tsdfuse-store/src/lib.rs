@@ -34,6 +34,7 @@
 //! All bytes of the file are covered by checksums: a damaged store is an error that names the file, and [`Salvage`]
 //! recovers what is intact.
 
+mod disk;
 mod error;
 mod file;
 mod format;
