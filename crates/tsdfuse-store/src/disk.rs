@@ -1,4 +1,4 @@
-//! Bytes of a file, at their places.
+//! Reading and writing at offsets of a locked file.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use crate::format::Extent;
 
-/// A file that is locked as long as it is open: a writer excludes everybody else, readers exclude writers.
+/// A file that is locked as long as it is open. A writer excludes everybody else; readers exclude writers.
 #[derive(Debug)]
 pub(crate) struct Disk {
     file: File,
-    /// What was done to it.
+    /// What was done to the file.
     #[cfg(test)]
     pub(crate) steps: std::cell::RefCell<Vec<Step>>,
 }
@@ -24,23 +24,23 @@ pub(crate) enum Step {
     Sync,
 }
 
-/// How often, and how many milliseconds apart, it is tried whether a process that was killed has let go of its file.
+/// How often locking is tried, and at what interval: a process that was killed takes a moment to release its lock.
 const TRIES: u32 = 40;
 const BETWEEN_MS: u64 = 50;
 
 impl Disk {
-    /// An empty file.
+    /// Creates an empty file.
     pub(crate) fn create(path: &Path) -> io::Result<Self> {
         let mut options = OpenOptions::new();
         Self::lock(options.create(true).truncate(true), path, true, TRIES)
     }
 
-    /// A file that is there.
+    /// Opens an existing file.
     pub(crate) fn open(path: &Path, is_written: bool) -> io::Result<Self> {
         Self::lock(&mut OpenOptions::new(), path, is_written, TRIES)
     }
 
-    /// A file that nobody has open.
+    /// Opens a file for writing unless another process has it open.
     pub(crate) fn open_unused(path: &Path) -> io::Result<Self> {
         Self::lock(&mut OpenOptions::new(), path, true, 1)
     }
@@ -77,14 +77,14 @@ impl Disk {
         Ok(self.file.metadata()?.len())
     }
 
-    /// Fills `bytes` with what is at an offset.
+    /// Fills `bytes` from an offset.
     pub(crate) fn read_exact(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
         let mut file = &self.file;
         file.seek(SeekFrom::Start(offset))?;
         file.read_exact(bytes)
     }
 
-    /// Reads a part of the file. What a damaged file says of a length is not believed.
+    /// Reads an extent. No memory is allocated for an extent beyond the end of the file, as damaged files may name.
     ///
     /// # Errors
     /// What is wrong.
@@ -110,7 +110,7 @@ impl Disk {
         file.write_all(bytes)
     }
 
-    /// Waits until everything that was written is on the disk.
+    /// Waits until everything written so far is on the disk.
     pub(crate) fn sync(&self) -> io::Result<()> {
         #[cfg(test)]
         self.steps.borrow_mut().push(Step::Sync);
@@ -118,7 +118,7 @@ impl Disk {
     }
 }
 
-/// Makes sure that a new name outlives a power failure, where the system can do that.
+/// Makes a new file name survive a power failure, where the system supports it.
 pub(crate) fn sync_folder(path: &Path) {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     // Some systems cannot open folders, some file systems cannot sync them.

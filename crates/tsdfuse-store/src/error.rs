@@ -7,8 +7,7 @@ use tsdfuse::fuse::FuseError;
 use tsdfuse::index::RegionIndex;
 use tsdfuse::map::MapError;
 
-/// What is wrong with a store, or with what is read from it or written to it. Whatever it is, the file keeps the last
-/// commit.
+/// What can go wrong with a store. Whatever it is, the file keeps the last commit.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The file cannot be created, read or written: the disk is full, for instance.
@@ -59,8 +58,8 @@ pub enum StoreError {
         /// Why not.
         reason: MapError,
     },
-    /// An earlier error made the map in memory useless. Only the last commit is left, in the file.
-    #[error("{cause} (the store takes nothing more since)")]
+    /// An earlier error made the map in memory useless. The last commit is in the file.
+    #[error("{cause} (the store has been unusable since)")]
     Broken {
         /// The message of the first error.
         cause: String,
@@ -95,7 +94,7 @@ impl StoreError {
         )
     }
 
-    /// The error that travelled within an [`io::Error`], or that error itself as one of the sink.
+    /// Unwraps a store error within an [`io::Error`]; any other error is one of the sink.
     pub(crate) fn from_io(error: io::Error) -> Self {
         error.downcast().unwrap_or_else(Self::Sink)
     }

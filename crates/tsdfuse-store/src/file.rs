@@ -1,4 +1,4 @@
-//! The file: regions of the last commit and of the one that is being made.
+//! The store's file: the last commit, and the regions written since.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -15,7 +15,7 @@ use crate::error::{Result, StoreError};
 use crate::format::{Extent, HEADER, Header, Index, MAGIC, PAGE, Packed, RegionHeader, Row, Sizes, State};
 use crate::space::Space;
 
-/// An open store. Nothing that belongs to the last commit is ever overwritten.
+/// An open store. Bytes of the last commit are never overwritten.
 #[derive(Debug)]
 pub(crate) struct StoreFile {
     path: PathBuf,
@@ -25,7 +25,7 @@ pub(crate) struct StoreFile {
     index: [Extent; 2],
     regions: HashMap<RegionIndex, Stored, FxBuildHasher>,
     space: Space,
-    /// Parts of the last commit that the next one does not need.
+    /// Extents of the last commit that the next one does not use. They become free with it.
     replaced: Vec<Extent>,
 }
 
@@ -42,28 +42,29 @@ pub(crate) const HEADERS: [u64; 2] = [0, PAGE];
 /// The first page after them.
 const FIRST_PAGE: u64 = 2;
 
-/// Whether a file looks like a store, from its first bytes; those of earlier versions are stores that cannot be read.
+/// Whether a file looks like a store, judged by its first bytes. Stores of earlier versions are recognised, but cannot
+/// be opened.
 pub fn recognises(path: impl AsRef<Path>) -> bool {
     let mut start = [0; MAGIC.len()];
     let read = File::open(path).and_then(|mut file| file.read_exact(&mut start));
     read.is_ok() && (start == MAGIC || is_earlier(&start))
 }
 
-/// Stores were files of this database.
+/// Earlier versions kept stores in this database.
 fn is_earlier(start: &[u8]) -> bool {
     start.starts_with(b"redb")
 }
 
-/// Removes a store that no process has open; returns whether it did. What is no store stays.
+/// Removes a store unless a process has it open. Returns whether it was removed; other files are left alone.
 pub fn remove_unused(path: impl AsRef<Path>) -> bool {
     let path = path.as_ref();
-    // While it is locked here, nobody else can open it.
+    // As long as it is locked here, no other process can open it.
     let locked = recognises(path).then(|| Disk::open_unused(path)).and_then(Result::ok);
     locked.is_some_and(|disk| header(&disk).is_ok() && std::fs::remove_file(path).is_ok())
 }
 
 impl StoreFile {
-    /// Makes a store, which appears with its first commit.
+    /// Creates a store. The file appears under its name once the first commit is complete.
     pub(crate) fn create(path: &Path, state: State) -> Result<Self> {
         let wrong = StoreError::file(path);
         if path.exists() {
@@ -88,13 +89,13 @@ impl StoreFile {
         };
         let made = make();
         if made.is_err() {
-            // It may never have been created.
+            // The file may not exist.
             let _ = std::fs::remove_file(&temporary);
         }
         made
     }
 
-    /// Opens a store as it was committed last.
+    /// Opens a store at its last commit.
     pub(crate) fn open(path: &Path, is_written: bool) -> Result<(Self, State)> {
         let wrong = StoreError::file(path);
         let disk = Disk::open(path, is_written).map_err(&wrong)?;
@@ -128,7 +129,7 @@ impl StoreFile {
             replaced: Vec::new(),
         };
         if is_written && !is_whole {
-            // The next commit writes over the first copy, and must find the second one as it should be.
+            // The next commit overwrites the first copy, so the second one must be valid before that.
             for at in HEADERS {
                 store.write_at(at, &header.to_bytes())?;
             }
@@ -146,7 +147,7 @@ impl StoreFile {
         self.regions.values().map(|stored| (stored.row.index, stored.row.sizes))
     }
 
-    /// Writes a region; nobody sees it before [`StoreFile::commit`].
+    /// Writes a region. It counts from the next [`StoreFile::commit`] on.
     pub(crate) fn write(&mut self, packed: &Packed) -> Result<()> {
         let record = RegionHeader::record(self.sequence + 1, packed);
         let extent = self.append(&record)?;
@@ -166,7 +167,7 @@ impl StoreFile {
         Ok(())
     }
 
-    /// Reads a region, which must be there.
+    /// Reads a region, which must exist.
     pub(crate) fn read(&self, index: RegionIndex, pool: &BlockPool) -> Result<RegionBlocks> {
         let wrong = |reason: String| StoreError::Region {
             path: self.path.clone(),
@@ -182,8 +183,8 @@ impl StoreFile {
         Ok(blocks)
     }
 
-    /// Makes everything that was written the state of the map. When this returns, no crash takes it away; until then,
-    /// the last commit is there.
+    /// Commits everything written so far. Once this returns, it survives a crash; a crash before that leaves the last
+    /// commit or this one.
     pub(crate) fn commit(&mut self, state: State) -> Result<()> {
         let path = self.path.clone();
         let wrong = StoreError::file(&path);
@@ -201,11 +202,11 @@ impl StoreFile {
             integrations: index.state.integrations,
             index: [self.append(&bytes)?, self.append(&bytes)?],
         };
-        // What the header names must be there before the header is.
+        // Everything the header refers to must be on the disk before the header is written.
         self.disk.sync().map_err(&wrong)?;
         self.write_at(HEADERS[0], &header.to_bytes())?;
         self.disk.sync().map_err(&wrong)?;
-        // The first copy holds from here on. The second one is for damage.
+        // From here on the commit is valid. The second copy is a spare in case the first is damaged.
         self.write_at(HEADERS[1], &header.to_bytes())?;
         let old_index = std::mem::replace(&mut self.index, header.index);
         if self.sequence > 0 {
@@ -231,10 +232,10 @@ impl StoreFile {
     }
 }
 
-/// The header of the last commit, and whether both copies of it are there.
+/// The header of the last commit, and whether both copies of it are intact.
 ///
 /// # Errors
-/// What is wrong with the first copy, if there is none.
+/// What is wrong with the first copy, if both are damaged.
 pub(crate) fn header(disk: &Disk) -> Result<(Header, bool), String> {
     let read = |offset| {
         let length = HEADER as u64;
@@ -254,10 +255,10 @@ pub(crate) fn header(disk: &Disk) -> Result<(Header, bool), String> {
     }
 }
 
-/// The index that a header names, from whichever copy is intact.
+/// The index that a header refers to, from whichever copy is intact.
 ///
 /// # Errors
-/// What is wrong with the first copy, if neither is.
+/// What is wrong with the first copy, if both are damaged.
 pub(crate) fn read_index(disk: &Disk, header: &Header) -> Result<Index, String> {
     let read = |extent| {
         let index = disk.read(extent).and_then(|bytes| Index::parse(&bytes))?;
@@ -270,10 +271,10 @@ pub(crate) fn read_index(disk: &Disk, header: &Header) -> Result<Index, String> 
     read(first).or_else(|reason| read(second).map_err(|_| reason))
 }
 
-/// Hands out the blocks of a region.
+/// Reads a region and passes its blocks to `take`.
 ///
 /// # Errors
-/// What is wrong with its bytes, or why `take` did not want a block.
+/// What is wrong with its bytes, or the error of `take`.
 pub(crate) fn read_region(
     disk: &Disk,
     row: &Row,
@@ -351,8 +352,8 @@ mod tests {
         prop::collection::vec(act, 1..60)
     }
 
-    /// What is on the disk if the power fails after some steps: everything up to the last sync, and of the rest, for each write,
-    /// nothing, all, or some of it.
+    /// What is on the disk if the power fails after some steps: everything up to the last sync, and of the rest, for
+    /// each write, nothing, all, or some of it.
     fn after_failure(steps: &[Step], fates: &[u16]) -> Vec<u8> {
         let synced = steps.iter().rposition(|step| matches!(step, Step::Sync)).unwrap_or(0);
         let mut disk = Vec::new();
@@ -374,7 +375,7 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(32) })]
 
         #[test]
         fn after_a_power_failure_the_last_commit_is_there_all_of_it(

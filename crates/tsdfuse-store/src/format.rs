@@ -1,14 +1,14 @@
-//! The bytes of a store.
+//! The file format of stores.
 //!
 //! ```text
-//!   page 0   header                 4 KiB each, both the same but while a commit is being written
+//!   page 0   header                 4 KiB each; they differ only while a commit is being written
 //!   page 1   header, second copy
 //!   page 2…  regions, and the index of the last commit (twice), each on pages of its own
 //! ```
 //!
-//! The headers name the index; the index names the regions, and holds what the caller wants to find again. All of them
-//! end with, or begin with, a checksum, and begin with a mark, so that they can be found even if what names them is
-//! lost ([`crate::Salvage`]). Numbers are little-endian.
+//! A header locates the index; the index locates the regions and contains the caller's checkpoint. Each of them has a
+//! checksum, and begins with a mark, so that it can be found by a search even if its locator is lost
+//! ([`crate::Salvage`]). Numbers are little-endian.
 
 use std::ops::{AddAssign, Range};
 
@@ -16,16 +16,16 @@ use tsdfuse::MapConfig;
 use tsdfuse::glam::IVec3;
 use tsdfuse::index::{BLOCK_VOXELS, RegionIndex};
 
-/// Everything begins on a page, so that writing one thing never touches the bytes of another, not even if the power
+/// Every record begins on a page of its own, so that writing one record cannot harm another, not even if the power
 /// fails.
 pub(crate) const PAGE: u64 = 4096;
 
-/// How a header begins.
+/// The first bytes of a header.
 pub(crate) const MAGIC: [u8; 8] = *b"TSDFSTO\n";
 const VERSION: u32 = 1;
-/// How an index begins.
+/// The first bytes of an index.
 pub(crate) const INDEX_MARK: [u8; 8] = *b"TSDFIDX\n";
-/// How a region begins.
+/// The first bytes of a region.
 pub(crate) const REGION_MARK: [u8; 8] = *b"TSDFREG\n";
 
 /// Mark, sequence, three coordinates, blocks, observed voxels, length of what follows; the checksum of these and what
@@ -33,9 +33,9 @@ pub(crate) const REGION_MARK: [u8; 8] = *b"TSDFREG\n";
 pub(crate) const REGION_HEADER: usize = 40 + 4;
 /// Blocks in a region.
 const REGION_BLOCKS: u64 = 512;
-/// No region takes more: all blocks, not compressed.
+/// Upper limit of a packed region: all blocks, not compressible.
 const MAX_REGION: u32 = 3 << 20;
-/// No map has regions farther out.
+/// Regions of a map have smaller coordinates than this.
 const MAX_COORDINATE: u32 = 1 << 25;
 /// Coordinates, blocks, observed voxels, offset, length.
 const ROW: usize = 12 + 8 + 8 + 4;
@@ -84,7 +84,7 @@ pub(crate) struct Packed {
     pub(crate) bytes: Vec<u8>,
 }
 
-/// What is known of the map as a whole.
+/// The map without its voxels, as the caller sees it.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct State {
     pub(crate) config: MapConfig,
@@ -92,7 +92,7 @@ pub(crate) struct State {
     pub(crate) checkpoint: Vec<u8>,
 }
 
-/// Where the index is.
+/// The root of the file: locates the index.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Header {
     /// The number of the commit.
@@ -103,7 +103,7 @@ pub(crate) struct Header {
     pub(crate) index: [Extent; 2],
 }
 
-/// A commit: all of the map but the voxels.
+/// A commit: everything except the voxels, and where these are.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Index {
     pub(crate) sequence: u64,
@@ -120,14 +120,14 @@ pub(crate) struct Row {
     pub(crate) extent: Extent,
 }
 
-/// What a region begins with.
+/// The beginning of a stored region.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct RegionHeader {
     /// The number of the commit that it belongs to.
     pub(crate) sequence: u64,
     pub(crate) index: RegionIndex,
     pub(crate) sizes: Sizes,
-    /// Bytes that follow.
+    /// Number of bytes that follow.
     pub(crate) length: u32,
     checksum: u32,
 }
@@ -191,7 +191,7 @@ impl Index {
         with_checksum(bytes)
     }
 
-    /// How many bytes an index has that begins with these.
+    /// The length of an index that begins with these bytes.
     pub(crate) fn length(start: &[u8]) -> Result<u64, String> {
         let mut fields = Fields(start.get(INDEX_HEADER - 16..).unwrap_or_default());
         let rows = fields.u64()?.checked_mul(ROW as u64);
@@ -230,7 +230,7 @@ impl Index {
 }
 
 impl RegionHeader {
-    /// A region as it is written.
+    /// The bytes of a region.
     pub(crate) fn record(sequence: u64, packed: &Packed) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(REGION_HEADER + packed.bytes.len());
         bytes.extend(REGION_MARK);
@@ -244,7 +244,7 @@ impl RegionHeader {
     }
 
     /// # Errors
-    /// What is wrong with it; its checksum is not checked yet.
+    /// What is wrong with it. The checksum is not checked yet.
     pub(crate) fn parse(bytes: &[u8]) -> Result<Self, String> {
         let mut fields = Fields(bytes);
         if fields.array()? != REGION_MARK {
@@ -316,7 +316,7 @@ fn put_key(bytes: &mut Vec<u8>, RegionIndex(index): RegionIndex, sizes: Sizes) {
     }
 }
 
-/// Reads one field after the other.
+/// Reads fields in order.
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {

@@ -1,9 +1,8 @@
 //! Maps larger than memory, and maps that outlive a crash.
 //!
-//! A [`PagedMap`] keeps the regions of a map that are in use in memory, and all others in a file. Before a scan is
-//! fused, it loads what the scan can touch; afterwards it evicts the regions that were not used for the longest time,
-//! as long as there are more than its limit of memory allows. The map is the same, bit for bit, as one that is all in
-//! memory.
+//! A [`PagedMap`] keeps the regions that are in use in memory, and all others in a file. Before a scan is fused, it
+//! loads the regions that the scan can touch; afterwards it evicts the least recently used regions if memory use
+//! exceeds the limit. The map is the same, bit for bit, as one in memory.
 //!
 //! ```text
 //!   integrate ── load ──▶ regions in memory ◀──────────────── prefetch ─┐
@@ -11,9 +10,9 @@
 //!      └─ commit ─────────────┴─────────────── written behind ─────▶ one thread, one file
 //! ```
 //!
-//! Nothing that is on its way to the file counts before it is committed, together with a checkpoint: bytes of the
-//! caller's, which say for instance which scan was the last. After a crash at any moment, the file holds the last
-//! commit, all of it and nothing later.
+//! Regions that are written take effect with the next commit, which also stores a checkpoint: bytes of the caller, such
+//! as the number of the last scan. After a crash at any moment, the file holds the last commit: all of it, and nothing
+//! later.
 //!
 //! ```
 //! use tsdfuse::{MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3};

@@ -15,33 +15,33 @@ use crate::file::StoreFile;
 use crate::format::{Sizes, State};
 use crate::pager::Pager;
 
-/// A map whose regions are in a file, and in memory only while they are in use.
+/// A map whose regions are stored in a file and loaded into memory on demand.
 ///
-/// It is the same, bit for bit, as a [`VoxelMap`] that is all in memory. What has changed since the last
-/// [`PagedMap::commit`] is lost with the process.
+/// The map is the same, bit for bit, as a [`VoxelMap`] in memory. Changes since the last [`PagedMap::commit`] are lost
+/// if the process ends.
 ///
 /// After an error of the store ([`StoreError::File`], [`StoreError::Damaged`], [`StoreError::Region`],
-/// [`StoreError::BeyondReach`]) the map in memory is of no use: every later call returns [`StoreError::Broken`] with
-/// the message of the first error. The file keeps the last commit.
+/// [`StoreError::BeyondReach`]) the map in memory is useless: every later call returns [`StoreError::Broken`] with the
+/// message of the first error. The file keeps the last commit.
 #[derive(Debug)]
 pub struct PagedMap {
     map: VoxelMap,
     pager: Pager,
     is_read_only: bool,
-    /// The message of the error that ended it.
+    /// The message of the error that made it useless.
     broken: Option<String>,
-    /// The most memory that [`PagedMap::over_limit`] told, and what it has to tell next.
+    /// The highest memory use that [`PagedMap::over_limit`] has returned, and what it returns next.
     told_bytes: usize,
     over_limit: Option<OverLimit>,
     paging_secs: f64,
 }
 
-/// A map takes more memory than it should, because one scan can touch more than fits into the limit.
+/// A map takes more memory than its limit, because what a single scan can touch does not fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OverLimit {
-    /// Memory that blocks take, in bytes.
+    /// Memory used by blocks, in bytes.
     pub bytes: usize,
-    /// Memory that they should take at most.
+    /// The limit, in bytes.
     pub limit_bytes: usize,
 }
 
@@ -53,11 +53,11 @@ fn is_much_more(bytes: usize, before: usize) -> bool {
 impl PagedMap {
     /// Creates a store. It holds an empty map and `checkpoint`; the blocks of `map` follow with the first commit.
     ///
-    /// `limit_bytes` limits the memory that blocks take; `None` keeps them all in memory. What one scan can touch
-    /// always stays in memory.
+    /// `limit_bytes` limits the memory used by blocks; `None` keeps all of them in memory. What a single scan can touch
+    /// stays in memory, even beyond the limit.
     ///
     /// # Errors
-    /// [`StoreError::File`], also if there is such a file.
+    /// [`StoreError::File`], also if the file exists already.
     pub fn create(
         path: impl AsRef<Path>,
         map: VoxelMap,
@@ -74,8 +74,8 @@ impl PagedMap {
         Ok(Self::new(map, pager, false))
     }
 
-    /// Opens a store: the map as it was committed last, of which nothing is in memory yet, and the checkpoint. No other
-    /// process may have it open.
+    /// Opens a store at its last commit, and returns the map and the checkpoint. Nothing of the map is in memory yet.
+    /// No other process may have the store open.
     ///
     /// # Errors
     /// [`StoreError::File`] and [`StoreError::Damaged`].
@@ -83,8 +83,7 @@ impl PagedMap {
         Self::open_as(path.as_ref(), limit_bytes, false)
     }
 
-    /// Opens a store for reading, as several processes can at the same time, also in a place where nothing can be
-    /// written.
+    /// Opens a store for reading. Several processes can do so at the same time, and the file may be write-protected.
     ///
     /// # Errors
     /// As [`PagedMap::open`].
@@ -147,7 +146,7 @@ impl PagedMap {
         self.pager.regions()
     }
 
-    /// How much the whole map holds, as of the last commit.
+    /// How much the whole map contains, as of the last commit.
     pub fn sizes(&self) -> Sizes {
         self.pager.sizes()
     }
@@ -157,47 +156,47 @@ impl PagedMap {
         &self.map
     }
 
-    /// Bytes of memory that the blocks and their table take.
+    /// Memory used by blocks and their table, in bytes.
     pub fn memory_bytes(&self) -> usize {
         self.map.memory_bytes()
     }
 
-    /// The most memory that they have taken so far.
+    /// The highest memory use so far, in bytes.
     pub fn most_bytes(&self) -> usize {
         self.pager.most_bytes()
     }
 
-    /// The limit of memory.
+    /// The memory limit, in bytes.
     pub fn limit_bytes(&self) -> Option<usize> {
         self.pager.limit_bytes()
     }
 
-    /// Changes the limit of memory; it holds from the next scan on.
+    /// Changes the memory limit. It applies from the next scan on.
     pub fn set_limit(&mut self, limit_bytes: Option<usize>) {
         self.pager.set_limit(limit_bytes);
         self.told_bytes = 0;
     }
 
-    /// Returns an event if the last scans needed more memory than the limit allows: the first time, and whenever it has
-    /// become at least a quarter more than the last event said. Each is returned once.
+    /// Returns an event when memory use has exceeded the limit for the first time, and whenever it has grown by more
+    /// than a quarter since the last event. Each event is returned once.
     pub fn over_limit(&mut self) -> Option<OverLimit> {
         let event = self.over_limit.take()?;
         self.told_bytes = event.bytes;
         Some(event)
     }
 
-    /// Bytes of the file.
+    /// The size of the file, in bytes.
     pub fn store_bytes(&self) -> u64 {
         std::fs::metadata(self.path()).map_or(0, |file| file.len())
     }
 
-    /// Seconds spent so far on loading and evicting regions; commits are not counted.
+    /// Seconds spent so far on loading and evicting regions, without commits.
     pub fn paging_secs(&self) -> f64 {
         self.paging_secs
     }
 
-    /// Fuses a scan: loads the regions within its reach, fuses it, and evicts others while there are more than the
-    /// limit allows.
+    /// Fuses a scan: loads the regions within its reach, fuses it, and evicts other regions if memory use exceeds the
+    /// limit.
     ///
     /// # Errors
     /// [`PagedError::Fuse`] leaves the map as it was. After [`PagedError::Store`] nothing more can be fused.
@@ -213,19 +212,19 @@ impl PagedMap {
         Ok(done?)
     }
 
-    /// Ends a series of scans ([`Integrator::finish`]). Unless there is no limit of memory and the store is new, the
-    /// method must not have kept scans back.
+    /// Ends a series of scans ([`Integrator::finish`]). A method that fuses collected scans only now needs all of the
+    /// map in memory: a new store without a limit.
     ///
     /// # Errors
     /// [`StoreError::BeyondReach`] if the method changed regions that are not in memory.
-    pub fn finish(&mut self, integrator: &mut dyn Integrator) -> Result<Integration, PagedError> {
+    pub fn finish(&mut self, integrator: &mut dyn Integrator) -> Result<Integration> {
         self.check_writable()?;
-        let done = integrator.finish(&mut self.map)?;
+        let done = integrator.finish(&mut self.map);
         self.settle(&done.updated_blocks)?;
         Ok(done)
     }
 
-    /// After a change: marks dirty what changed, and evicts what is too much.
+    /// After a change: marks it dirty, and evicts regions if memory use exceeds the limit.
     fn settle(&mut self, updated_blocks: &[BlockIndex]) -> Result<()> {
         let (bytes, is_under) = self.paging(|map, pager| {
             pager.mark_dirty(map, updated_blocks)?;
@@ -242,8 +241,9 @@ impl PagedMap {
         Ok(())
     }
 
-    /// Begins to load the regions within the reach of a later scan, without waiting for them. The reach of a scan that
-    /// was not read yet is about that of the scan before, from another position ([`Integrator::reach`], [`Reach::at`]).
+    /// Begins to load the regions within the reach of a later scan, without waiting for them. While that scan has not
+    /// been read, the reach of the current one at the later position is a good guess ([`Integrator::reach`],
+    /// [`Reach::at`]).
     ///
     /// # Errors
     /// [`StoreError::File`] and [`StoreError::Region`].
@@ -254,12 +254,11 @@ impl PagedMap {
         })
     }
 
-    /// Adds blocks that were made elsewhere: read from a map file, for instance. It is quickest region by region.
-    /// Returns how many there were.
+    /// Adds blocks from elsewhere, such as a map file, and returns how many there were. This is fastest region by
+    /// region.
     ///
     /// # Errors
-    /// [`StoreError::Map`] if there is such a block already, or if it is no block of a map; those before it are in the
-    /// map then.
+    /// [`StoreError::Map`] if a block exists already or is not valid. The blocks before it have been added.
     pub fn put_blocks(&mut self, blocks: impl IntoIterator<Item = (BlockIndex, Block)>) -> Result<usize> {
         let mut count = 0;
         for (index, block) in blocks {
@@ -276,7 +275,7 @@ impl PagedMap {
     pub fn put_block(&mut self, index: BlockIndex, block: Block) -> Result<()> {
         self.check_writable()?;
         self.paging(|map, pager| {
-            // Nothing to do while they come region by region.
+            // Free as long as blocks come region by region.
             pager.load_next(map, RegionIndex::of(index))?;
             map.insert_block(index, block).map_err(|reason| StoreError::Map {
                 path: pager.path().to_owned(),
@@ -286,11 +285,12 @@ impl PagedMap {
         })
     }
 
-    /// Writes everything that changed, and makes it and `checkpoint` what [`PagedMap::open`] finds. The bytes of the
-    /// checkpoint are the caller's: which scan was the last, for instance. When this returns, no crash takes them away.
+    /// Writes everything that has changed, together with `checkpoint`; this is what [`PagedMap::open`] finds from now
+    /// on. The checkpoint is opaque to the store: the number of the last scan, for instance. Once this returns, the
+    /// commit survives a crash.
     ///
     /// # Errors
-    /// [`StoreError::File`]; the file then keeps the commit before.
+    /// [`StoreError::File`]. The file keeps the previous commit.
     pub fn commit(&mut self, checkpoint: &[u8]) -> Result<()> {
         self.check_writable()?;
         self.with_pager(|map, pager| pager.commit(map, checkpoint))
@@ -352,7 +352,7 @@ impl PagedMap {
         }
     }
 
-    /// Loads some regions, and evicts others for them.
+    /// Loads some regions, and evicts others if memory use exceeds the limit.
     fn load_regions(&mut self, regions: &[RegionIndex]) -> Result<()> {
         self.paging(|map, pager| {
             pager.load(map, regions)?;
@@ -377,7 +377,7 @@ impl PagedMap {
         done
     }
 
-    /// Everything that can end the map goes through here.
+    /// Runs an operation that can break the map, unless the map is broken already.
     fn with_pager<T>(&mut self, act: impl FnOnce(&mut VoxelMap, &mut Pager) -> Result<T>) -> Result<T> {
         if let Some(cause) = &self.broken {
             return Err(StoreError::Broken { cause: cause.clone() });

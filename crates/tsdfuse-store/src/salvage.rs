@@ -1,4 +1,4 @@
-//! What can be had of a damaged store.
+//! Recovering the intact regions of a damaged store.
 
 use std::path::{Path, PathBuf};
 
@@ -16,9 +16,9 @@ use crate::format::{Extent, INDEX_HEADER, INDEX_MARK, Index, PAGE, REGION_HEADER
 
 /// The intact regions of a damaged store.
 ///
-/// As long as one copy of the index is intact, this is the last commit without the regions that are lost, each of which
-/// is known. Without any index, the whole file is searched for regions, and the newest intact version of each is used:
-/// some may be from before the last commit, or from after it.
+/// As long as one copy of the index is intact, the result is the last commit without the lost regions, and the lost
+/// regions are known. Without an index, the file is searched for regions, and the newest intact version of each is
+/// used; some may be older or newer than the last commit.
 #[derive(Debug)]
 pub struct Salvage {
     path: PathBuf,
@@ -35,11 +35,11 @@ pub struct Salvage {
 pub struct Damage {
     /// A sentence for each part that is damaged.
     pub places: Vec<String>,
-    /// The regions that are lost, sorted, and how many blocks they had; `None` if the index is lost, which would tell.
+    /// The lost regions, sorted, and how many blocks they had. `None` if the index is lost, so that nobody knows.
     pub lost: Option<(Vec<RegionIndex>, u64)>,
 }
 
-/// What a search of the whole file finds.
+/// The result of searching the whole file.
 #[derive(Default)]
 struct Found {
     index: Option<Index>,
@@ -48,11 +48,11 @@ struct Found {
 }
 
 impl Salvage {
-    /// Reads all of a store, and finds out which regions are intact.
+    /// Reads a whole store and finds the regions that are intact.
     ///
     /// # Errors
     /// [`StoreError::File`] if the file cannot be read, [`StoreError::Damaged`] if neither its header nor its index is
-    /// intact, or if it is no store.
+    /// intact, or if it is not a store.
     pub fn scan(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let wrong = StoreError::file(path);
@@ -106,7 +106,7 @@ impl Salvage {
         Ok(salvage)
     }
 
-    /// Leaves out the regions that cannot be read.
+    /// Removes the regions that cannot be read, and records them.
     fn drop_damaged(&mut self) {
         let Self {
             disk, regions, damage, ..
@@ -218,7 +218,7 @@ impl Found {
             if read.is_err() {
                 continue;
             }
-            // What begins with a mark but is damaged otherwise is as good as not there.
+            // Damaged records are skipped.
             if start.starts_with(&INDEX_MARK) {
                 let _ = found.try_index(disk, offset, &start);
             } else if start.starts_with(&REGION_MARK) {
@@ -260,7 +260,7 @@ impl Found {
     /// The index of the last commit, or else the newest regions, sorted.
     fn newest_index(self, sequence: Option<u64>) -> Result<Index, Vec<Row>> {
         let newest = self.regions.values().map(|(sequence, _)| *sequence).max();
-        // Regions of the commit that was being made when the program ended are one ahead.
+        // Regions written after the last commit carry the number of the next one.
         let sequence = sequence.or(newest.map(|newest| newest.saturating_sub(1)));
         match self.index {
             Some(index) if sequence.is_none_or(|sequence| index.sequence >= sequence) => Ok(index),

@@ -1,20 +1,20 @@
-//! Which pages of the file are free.
+//! The free pages of the file.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
 
 use crate::format::{Extent, PAGE};
 
-/// The free pages. What is beyond the end is free, too.
+/// The free pages. Everything beyond `end` is free, too.
 #[derive(Debug)]
 pub(crate) struct Space {
-    /// First pages and numbers of free pages; neighbours are joined.
+    /// First page and number of pages of each free range; adjacent ranges are joined.
     free: BTreeMap<u64, u64>,
     end: u64,
 }
 
 impl Space {
-    /// All pages from `first` on are free, except these; `None` if some of them overlap.
+    /// All pages from `first` on are free, except those in use. `None` if extents in use overlap.
     pub(crate) fn without(first: u64, used: impl IntoIterator<Item = Extent>) -> Option<Self> {
         let mut used: Vec<Range<u64>> = used.into_iter().map(Extent::pages).collect();
         used.sort_unstable_by_key(|pages| (pages.start, pages.end));
@@ -32,7 +32,7 @@ impl Space {
         Some(space)
     }
 
-    /// Takes pages for so many bytes: the first ones that are enough.
+    /// Allocates pages for so many bytes: the first range that is large enough.
     pub(crate) fn take(&mut self, length: u64) -> Extent {
         let pages = length.div_ceil(PAGE);
         let found = self.free.iter().find(|(_, free)| **free >= pages);
@@ -43,7 +43,7 @@ impl Space {
             }
             first
         } else {
-            // What is free at the end is part of it.
+            // A free range at the end is extended.
             let last = self.free.last_key_value().map(|(&first, &free)| (first, first + free));
             let first = match last {
                 Some((first, end)) if end == self.end => {
@@ -61,7 +61,7 @@ impl Space {
         }
     }
 
-    /// Gives back what was taken.
+    /// Frees the pages of an extent.
     pub(crate) fn give_back(&mut self, extent: Extent) {
         let Range { mut start, mut end } = extent.pages();
         if let Some((&before, &pages)) = self.free.range(..start).next_back()

@@ -1,4 +1,4 @@
-//! The thread that reads and writes the file. It serves requests in the order in which they come.
+//! The thread that reads and writes the file. It serves requests in order.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
@@ -12,25 +12,25 @@ use crate::error::{Result, StoreError};
 use crate::file::StoreFile;
 use crate::format::{Packed, Sizes, State};
 
-/// Requests that wait at most; whoever asks for more waits for the disk.
+/// The largest number of waiting requests. Whoever sends more waits for the disk.
 const WAITING: usize = 64;
 
 enum Request {
-    /// Packs and writes a region, whose memory is free then.
+    /// Packs and writes a region, and frees its memory.
     Keep(RegionBlocks),
     Write(Packed),
     Read(RegionIndex),
     Commit(State),
 }
 
-/// What comes of requests.
+/// The results of requests.
 pub(crate) enum Answer {
     Region(RegionBlocks),
     Kept(RegionIndex, Sizes),
     Committed,
 }
 
-/// The thread, from the outside.
+/// A handle of the thread.
 #[derive(Debug)]
 pub(crate) struct Worker {
     path: PathBuf,
@@ -47,7 +47,7 @@ impl Worker {
         let path = file.path().to_owned();
         let work = move || {
             if let Err(error) = serve(&mut file, &pool, &asked, &answer) {
-                // Nobody is left to be told if this fails.
+                // This fails only if nobody listens any more.
                 let _ = answer.send(Err(error));
             }
         };
@@ -82,7 +82,7 @@ impl Worker {
         if requests.is_some_and(|requests| requests.send(request).is_ok()) {
             return Ok(());
         }
-        // It ended: its last answer says why.
+        // The thread has ended; its last answer says why.
         loop {
             self.answer()?;
         }
@@ -99,8 +99,8 @@ impl Worker {
     }
 }
 
-/// The thread tells its error before it ends, and [`crate::PagedMap`] asks nothing of it afterwards; so only a bug gets
-/// here.
+/// The thread sends its error before it ends, and [`crate::PagedMap`] sends no further requests. So this is unreachable
+/// unless there is a bug.
 fn stopped(path: &Path) -> StoreError {
     StoreError::File {
         path: path.to_owned(),
@@ -112,7 +112,7 @@ impl Drop for Worker {
     fn drop(&mut self) {
         self.requests = None;
         if let Some(thread) = self.thread.take() {
-            // It has told what went wrong.
+            // Errors were sent as answers.
             let _ = thread.join();
         }
     }
@@ -124,7 +124,7 @@ fn serve(
     asked: &Receiver<Request>,
     answer: &Sender<Result<Answer>>,
 ) -> Result<()> {
-    // What is not committed when the requests end is forgotten.
+    // Anything that is not committed when the requests end is dropped.
     while let Ok(request) = asked.recv() {
         let done = match request {
             Request::Keep(region) => {
@@ -143,7 +143,7 @@ fn serve(
                 Answer::Committed
             }
         };
-        // Nobody listens any more while the map is being dropped.
+        // This fails only while the map is being dropped.
         let _ = answer.send(Ok(done));
     }
     Ok(())

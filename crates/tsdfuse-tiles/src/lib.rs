@@ -17,11 +17,11 @@
 //! levels.
 //!
 //! ```
-//! use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3, mesh::{MeshConfig, Surface}};
+//! use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3, mesh::{MeshConfig, Surface}};
 //! # let dir = tempfile::tempdir()?;
 //! let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(1.0, 0.02 * y as f32, 0.02 * z as f32)));
 //! let mut map = VoxelMap::new(MapConfig::default())?;
-//! Raycast::default().integrate(&mut map, &Scan { points: points.collect(), ..Default::default() })?;
+//! Raycast::default().integrate(&mut map, &Scan { points: points.collect(), pose: Some(Pose::IDENTITY), ..Default::default() })?;
 //! let mut surface = Surface::new(&map, &MeshConfig::default());
 //! let written = tsdfuse_tiles::write(&dir.path().join("wall/tileset.json"), &mut surface)?;
 //! assert_eq!(written.tiles, 1);

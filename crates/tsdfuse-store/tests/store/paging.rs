@@ -5,7 +5,7 @@ use tsdfuse::glam::{DVec3, IVec3, Vec3};
 use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::map::Block;
 use tsdfuse::mesh::{MeshConfig, MeshSink, extract_with};
-use tsdfuse::{Integration, Integrator, MapConfig, Mesh, Reach, Scan, VoxelMap};
+use tsdfuse::{Integration, Integrator, MapConfig, Mesh, Pose, Reach, Scan, VoxelMap};
 use tsdfuse_store::{OverLimit, PagedError, PagedMap, StoreError};
 
 use super::{LITTLE, config, drive, fused, fused_with_little, new_store, whole};
@@ -100,7 +100,9 @@ fn the_mesh_of_a_map_in_parts_is_that_of_the_whole() {
         ("near", DVec3::ZERO),
         ("far", DVec3::new(691_000.0, 5_335_000.0, 520.0)),
     ] {
-        scans.iter_mut().for_each(|scan| scan.pose.as_mut().unwrap().translation += offset);
+        scans
+            .iter_mut()
+            .for_each(|scan| scan.pose.as_mut().unwrap().translation += offset);
         let mut paged = new_store(&dir.path().join(name));
         fused_with_little(&mut paged, Method::Raycast, &sensor, &scans, &[scans.len()]);
         let expected = fused(Method::Raycast, &sensor, &scans);
@@ -154,6 +156,7 @@ impl Integrator for Pokes {
 fn a_scan() -> Scan {
     Scan {
         points: vec![Vec3::X],
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     }
 }
@@ -220,7 +223,10 @@ fn a_bad_scan_leaves_the_map_as_it_was() {
                 times: Some(vec![0.0; 3]),
                 ..scan.clone()
             },
-            _ => Scan::default(),
+            _ => Scan {
+                points: Vec::new(),
+                ..a_scan()
+            },
         };
         let mut pokes = Pokes {
             block: BlockIndex(IVec3::ZERO),

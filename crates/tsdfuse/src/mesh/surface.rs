@@ -4,10 +4,11 @@
 //! corner of a cell decides which cube the cell belongs to.
 //!
 //! ```
-//! use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3, mesh};
+//! use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3, mesh};
 //! let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(1.0, 0.02 * y as f32, 0.02 * z as f32)));
 //! let mut map = VoxelMap::new(MapConfig::default())?;
-//! Raycast::default().integrate(&mut map, &Scan { points: points.collect(), ..Default::default() })?;
+//! let scan = Scan { points: points.collect(), pose: Some(Pose::IDENTITY), ..Default::default() };
+//! Raycast::default().integrate(&mut map, &scan)?;
 //! let mut surface = mesh::Surface::new(&map, &mesh::MeshConfig::default());
 //! let mut triangles = 0;
 //! for cube in surface.cubes() {
