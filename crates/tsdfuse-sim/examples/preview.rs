@@ -45,8 +45,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut cloud = BufWriter::new(File::create(folder.join("cloud.xyz"))?);
     for scan in simulator.scans() {
         let intensities = scan.intensities.iter().flatten();
-        for (point, intensity) in scan.points.iter().zip(intensities) {
-            let p = scan.pose.unwrap().transform_point(point.as_dvec3());
+        for (p, intensity) in scan.points_in_world()?.zip(intensities) {
             writeln!(cloud, "{:.4} {:.4} {:.4} {intensity:.3}", p.x, p.y, p.z)?;
         }
     }
