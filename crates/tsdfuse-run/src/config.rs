@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use tsdfuse::MapConfig;
-use tsdfuse::fuse::{CaminalConfig, FuseConfig, Method, PatchConfig, RaycastConfig, RoldaoConfig};
+use tsdfuse::fuse::{CaminalConfig, FuseConfig, KuehnerConfig, Method, PatchConfig, RaycastConfig, RoldaoConfig};
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
@@ -28,6 +28,8 @@ pub struct RunConfig {
     pub normals: NormalsConfig,
     /// Options of the method `surfel`.
     pub surfel: SurfelConfig,
+    /// Options of the method `kuehner`.
+    pub kuehner: KuehnerConfig,
     /// Options of the method `caminal`.
     pub caminal: CaminalConfig,
     /// Options of the method `roldao`.
@@ -56,6 +58,7 @@ impl RunConfig {
             raycast: self.raycast,
             normals: self.normals,
             surfel: self.surfel,
+            kuehner: self.kuehner,
             caminal: self.caminal,
             roldao: self.roldao,
             patch: self.patch,

@@ -4,35 +4,31 @@ use std::path::{Path, PathBuf};
 
 use hashbrown::HashMap;
 use rayon::prelude::*;
-use redb::Database;
 use rustc_hash::FxBuildHasher;
 use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::map::RegionBlocks;
 use tsdfuse::{Reach, VoxelMap};
 
 use crate::error::{Result, StoreError};
-use crate::file::{self, Sizes, State};
+use crate::file::StoreFile;
+use crate::format::{Sizes, State};
 use crate::worker::{Answer, Worker, packed_blocks};
-
-/// How a map is paged.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Options {
-    /// Blocks in memory are taken away beyond this; what a scan needs stays, though, however much it is.
-    pub limit_bytes: usize,
-}
 
 /// Regions that are packed at a time.
 const PACKED_AT_ONCE: usize = 64;
 
-/// Keeps a map's regions in a file, and in memory those that are in use.
+/// Loads and evicts the regions of a map. A change follows this protocol: load what it can touch, change the map, mark dirty what changed,
+/// evict. [`crate::PagedMap`] follows it.
 #[derive(Debug)]
-pub struct Pager {
+pub(crate) struct Pager {
     path: PathBuf,
-    options: Options,
+    limit_bytes: Option<usize>,
     worker: Worker,
     regions: HashMap<RegionIndex, Region, FxBuildHasher>,
-    /// Counts calls of [`Pager::bring`].
+    /// Counts calls of [`Pager::load`].
     turn: u64,
+    /// The region that [`Pager::load_next`] loaded last, if nothing else was loaded since.
+    last: Option<RegionIndex>,
     most_bytes: usize,
 }
 
@@ -48,148 +44,91 @@ struct Region {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Place {
-    /// In memory, and in the file as it is.
-    Same,
-    /// In memory, and another one or none in the file.
-    Changed,
-    /// In the file.
+    /// In memory, and the same in the file.
+    Clean,
+    /// In memory; the file has another version or none.
+    Dirty,
+    /// In the file only.
     Stored,
-    /// In the file, and asked for.
-    Coming,
+    /// In the file only, and requested.
+    Loading,
 }
 
 impl Place {
-    fn is_here(self) -> bool {
-        matches!(self, Self::Same | Self::Changed)
+    fn is_in_memory(self) -> bool {
+        matches!(self, Self::Clean | Self::Dirty)
     }
 }
 
 impl Pager {
-    /// Makes a store for a map, which holds nothing so far or is committed next.
-    ///
-    /// # Errors
-    /// [`StoreError::File`], also if there is such a file.
-    pub fn create(path: impl AsRef<Path>, map: &VoxelMap, note: &[u8], options: Options) -> Result<Self> {
-        let path = path.as_ref();
-        let empty = State {
-            config: *map.config(),
-            integrations: 0,
-            note: note.to_owned(),
+    /// Pages `map`, whose blocks are in memory but not in the file, or the other way round if `stored` says so.
+    pub(crate) fn start(
+        file: StoreFile,
+        stored: Vec<(RegionIndex, Sizes)>,
+        map: &VoxelMap,
+        limit_bytes: Option<usize>,
+    ) -> Result<Self> {
+        let region = |(index, sizes)| {
+            let (place, used) = (Place::Stored, 0);
+            (index, Region { place, used, sizes })
         };
-        let mut pager = Self::start(path, file::create(path, &empty)?, map, options)?;
-        pager.note(map, &map.block_indices())?;
+        let mut pager = Self {
+            path: file.path().to_owned(),
+            limit_bytes,
+            worker: Worker::start(file, map.pool())?,
+            regions: stored.into_iter().map(region).collect(),
+            turn: 0,
+            last: None,
+            most_bytes: 0,
+        };
+        pager.mark_dirty(map, &map.block_indices())?;
         Ok(pager)
     }
 
-    /// Opens a store: the map as it was committed last, of which nothing is in memory, and the note.
-    ///
-    /// # Errors
-    /// [`StoreError::File`], also if nothing was ever committed.
-    pub fn open(path: impl AsRef<Path>, options: Options) -> Result<(VoxelMap, Self, Vec<u8>)> {
-        let path = path.as_ref();
-        let database = file::open(path)?;
-        let contents = file::contents(&database).map_err(StoreError::file(path))?;
-        let (state, regions) = contents.ok_or_else(|| StoreError::File {
-            path: path.to_owned(),
-            reason: "nothing was ever committed to it".to_owned(),
-        })?;
-        let map = VoxelMap::new(state.config);
-        let mut map = map.map_err(|reason| StoreError::Map {
-            path: path.to_owned(),
-            reason,
-        })?;
-        map.set_integrations(state.integrations);
-        let mut pager = Self::start(path, database, &map, options)?;
-        let stored = regions.into_iter().map(|(index, sizes)| {
-            let (place, used) = (Place::Stored, 0);
-            (index, Region { place, used, sizes })
-        });
-        pager.regions.extend(stored);
-        Ok((map, pager, state.note))
+    /// Regions are evicted while blocks take more memory than this.
+    pub(crate) fn set_limit(&mut self, limit_bytes: Option<usize>) {
+        self.limit_bytes = limit_bytes;
     }
 
-    fn start(path: &Path, database: Database, map: &VoxelMap, options: Options) -> Result<Self> {
-        Ok(Self {
-            path: path.to_owned(),
-            options,
-            worker: Worker::start(path, database, map.pool())?,
-            regions: HashMap::default(),
-            turn: 0,
-            most_bytes: 0,
-        })
+    pub(crate) fn limit_bytes(&self) -> Option<usize> {
+        self.limit_bytes
     }
 
-    /// Changes how the map is paged.
-    pub fn set_options(&mut self, options: Options) {
-        self.options = options;
-    }
-
-    /// The store's file.
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The most that blocks took in memory so far.
-    pub fn most_bytes(&self) -> usize {
+    /// The most memory that blocks have taken so far.
+    pub(crate) fn most_bytes(&self) -> usize {
         self.most_bytes
     }
 
     /// The regions of the whole map, sorted.
-    pub fn regions(&self) -> Vec<RegionIndex> {
+    pub(crate) fn regions(&self) -> Vec<RegionIndex> {
         let mut all: Vec<_> = self.regions.keys().copied().collect();
         all.par_sort_unstable();
         all
     }
 
-    /// Visits the regions of the whole map, sorted, each while it is in memory.
-    ///
-    /// # Errors
-    /// As [`Pager::bring`] and [`Pager::release`], and what `visit` says.
-    pub fn for_each_region<E: From<StoreError>>(
-        &mut self,
-        map: &mut VoxelMap,
-        mut visit: impl FnMut(&VoxelMap, RegionIndex) -> Result<(), E>,
-    ) -> Result<(), E> {
-        for region in self.regions() {
-            self.turn_to(map, &[region])?;
-            visit(map, region)?;
-        }
-        Ok(())
-    }
-
-    /// Brings some regions into memory, and takes others away for them.
-    ///
-    /// # Errors
-    /// As [`Pager::bring`] and [`Pager::release`].
-    pub fn turn_to(&mut self, map: &mut VoxelMap, regions: &[RegionIndex]) -> Result<()> {
-        self.bring_all(map, regions)?;
-        self.release(map)?;
-        Ok(())
-    }
-
-    /// How much the whole map holds, as of the last commit.
-    pub fn sizes(&self) -> Sizes {
+    /// How much the whole map holds, as of when its regions were packed last.
+    pub(crate) fn sizes(&self) -> Sizes {
         let mut sizes = Sizes::default();
         self.regions.values().for_each(|region| sizes += region.sizes);
         sizes
     }
 
-    /// Brings what a scan can touch into memory, waiting for what is not there yet.
-    ///
-    /// # Errors
-    /// [`StoreError::File`] and [`StoreError::Region`].
-    pub fn bring(&mut self, map: &mut VoxelMap, reach: &Reach) -> Result<()> {
-        let near = self.within(map, reach);
-        self.bring_all(map, &near)
+    /// The known regions that a scan can touch, in any order.
+    pub(crate) fn within(&self, map: &VoxelMap, reach: &Reach) -> Vec<RegionIndex> {
+        let grid = map.grid();
+        let known = self.regions.keys().copied();
+        known.filter(|&index| reach.touches(index, grid)).collect()
     }
 
-    /// As [`Pager::bring`], for some regions; those that are nowhere are left out.
-    ///
-    /// # Errors
-    /// As [`Pager::bring`].
-    pub fn bring_all(&mut self, map: &mut VoxelMap, needed: &[RegionIndex]) -> Result<()> {
+    /// Loads these regions, as far as they exist, and waits for them.
+    pub(crate) fn load(&mut self, map: &mut VoxelMap, needed: &[RegionIndex]) -> Result<()> {
         self.turn += 1;
-        self.ask_for(needed)?;
+        self.last = None;
+        self.prefetch(needed)?;
         while let Some(answer) = self.worker.answer_now() {
             self.take(map, answer?)?;
         }
@@ -197,7 +136,7 @@ impl Pager {
             while self
                 .regions
                 .get(index)
-                .is_some_and(|region| region.place == Place::Coming)
+                .is_some_and(|region| region.place == Place::Loading)
             {
                 let answer = self.worker.answer()?;
                 self.take(map, answer)?;
@@ -210,27 +149,22 @@ impl Pager {
         Ok(())
     }
 
-    /// Asks for what a later scan will touch, without waiting for it.
-    ///
-    /// # Errors
-    /// As [`Pager::bring`].
-    pub fn expect(&mut self, map: &VoxelMap, reach: &Reach) -> Result<()> {
-        let near = self.within(map, reach);
-        self.ask_for(&near)
+    /// Loads a region unless it was the last one to be loaded, and evicts others for it.
+    pub(crate) fn load_next(&mut self, map: &mut VoxelMap, index: RegionIndex) -> Result<()> {
+        if self.last != Some(index) {
+            self.load(map, &[index])?;
+            self.evict(map)?;
+            self.last = Some(index);
+        }
+        Ok(())
     }
 
-    /// The known regions that a scan can touch; in any order.
-    fn within(&self, map: &VoxelMap, reach: &Reach) -> Vec<RegionIndex> {
-        let grid = map.grid();
-        let known = self.regions.keys().copied();
-        known.filter(|&index| reach.touches(index, grid)).collect()
-    }
-
-    fn ask_for(&mut self, indices: &[RegionIndex]) -> Result<()> {
+    /// Requests these regions without waiting for them.
+    pub(crate) fn prefetch(&mut self, indices: &[RegionIndex]) -> Result<()> {
         for &index in indices {
             match self.regions.get_mut(&index) {
                 Some(region) if region.place == Place::Stored => {
-                    region.place = Place::Coming;
+                    region.place = Place::Loading;
                     self.worker.read(index)?;
                 }
                 _ => {}
@@ -260,16 +194,16 @@ impl Pager {
             reason: e.to_string(),
         })?;
         if let Some(region) = self.regions.get_mut(&index) {
-            (region.place, region.used) = (Place::Same, self.turn);
+            (region.place, region.used) = (Place::Clean, self.turn);
         }
         Ok(())
     }
 
-    /// Notes what an integration changed ([`tsdfuse::Integration::updated_blocks`]), or what else was put into the map.
+    /// Marks the regions of blocks that changed.
     ///
     /// # Errors
-    /// [`StoreError::BeyondReach`] if it was not brought before: the map is no longer to be trusted then.
-    pub fn note(&mut self, map: &VoxelMap, updated_blocks: &[BlockIndex]) -> Result<()> {
+    /// [`StoreError::BeyondReach`] if a region was not loaded before: its blocks in the file and in memory contradict each other then.
+    pub(crate) fn mark_dirty(&mut self, map: &VoxelMap, updated_blocks: &[BlockIndex]) -> Result<()> {
         let mut last = None;
         for &block in updated_blocks {
             let index = RegionIndex::of(block);
@@ -277,67 +211,63 @@ impl Pager {
                 continue;
             }
             let region = self.regions.entry(index).or_insert(Region {
-                place: Place::Changed,
+                place: Place::Dirty,
                 used: self.turn,
                 sizes: Sizes::default(),
             });
-            if !region.place.is_here() {
+            if !region.place.is_in_memory() {
                 return Err(StoreError::BeyondReach {
                     path: self.path.clone(),
                     region: index,
                 });
             }
-            (region.place, region.used) = (Place::Changed, self.turn);
+            (region.place, region.used) = (Place::Dirty, self.turn);
         }
         self.most_bytes = self.most_bytes.max(map.memory_bytes());
         Ok(())
     }
 
-    /// Takes regions out of memory that the last [`Pager::bring`] did not need, those that were not needed for the longest time first, as long
-    /// as there are more than the limit allows. Whether that suffices.
-    ///
-    /// # Errors
-    /// [`StoreError::File`].
-    pub fn release(&mut self, map: &mut VoxelMap) -> Result<bool> {
-        let limit_bytes = self.options.limit_bytes;
+    /// Evicts least recently used regions until memory is under the limit, but none that the last [`Pager::load`] needed. Returns whether it
+    /// got there.
+    pub(crate) fn evict(&mut self, map: &mut VoxelMap) -> Result<bool> {
+        let Some(limit_bytes) = self.limit_bytes else {
+            return Ok(true);
+        };
         if map.memory_bytes() <= limit_bytes {
             return Ok(true);
         }
         map.forget_empty_regions();
-        let here = self.regions.iter().filter(|(_, region)| region.place.is_here());
-        let idle = here.filter(|(_, region)| region.used < self.turn);
+        let in_memory = self.regions.iter().filter(|(_, region)| region.place.is_in_memory());
+        let idle = in_memory.filter(|(_, region)| region.used < self.turn);
         let mut idle: Vec<(u64, RegionIndex)> = idle.map(|(&index, region)| (region.used, index)).collect();
         idle.par_sort_unstable();
         for (_, index) in idle {
-            // Some more than needed, so that it is not for every scan.
+            // A little more than needed, so that not every scan has to evict.
             if map.memory_bytes() <= limit_bytes - limit_bytes / 16 {
                 break;
             }
             let Some(region) = self.regions.get_mut(&index) else {
                 continue;
             };
-            let changed = std::mem::replace(&mut region.place, Place::Stored) == Place::Changed;
+            let was_dirty = std::mem::replace(&mut region.place, Place::Stored) == Place::Dirty;
             match map.take_region(index) {
-                Some(blocks) if changed => self.worker.keep(blocks)?,
+                Some(blocks) if was_dirty => self.worker.keep(blocks)?,
                 _ => {}
             }
         }
         Ok(map.memory_bytes() <= limit_bytes)
     }
 
-    /// Writes all that changed, and makes it and `note` what [`Pager::open`] finds. When this returns, no crash takes it away.
-    ///
-    /// # Errors
-    /// [`StoreError::File`]; the file then holds what was committed before.
-    pub fn commit(&mut self, map: &mut VoxelMap, note: &[u8]) -> Result<()> {
-        let changed = self.regions.iter().filter(|(_, region)| region.place == Place::Changed);
-        let mut changed: Vec<RegionIndex> = changed.map(|(&index, _)| index).collect();
-        changed.par_sort_unstable();
-        for some in changed.chunks(PACKED_AT_ONCE) {
+    /// Writes everything that is dirty, and makes it and `checkpoint` the state that the next opening finds.
+    pub(crate) fn commit(&mut self, map: &mut VoxelMap, checkpoint: &[u8]) -> Result<()> {
+        let dirty = self.regions.iter().filter(|(_, region)| region.place == Place::Dirty);
+        let mut dirty: Vec<RegionIndex> = dirty.map(|(&index, _)| index).collect();
+        dirty.par_sort_unstable();
+        for some in dirty.chunks(PACKED_AT_ONCE) {
             let pack = |&index: &RegionIndex| packed_blocks(index, &map.blocks_of(index).collect::<Vec<_>>());
             for packed in some.par_iter().map(pack).collect::<Vec<_>>() {
                 if let Some(region) = self.regions.get_mut(&packed.index) {
-                    (region.place, region.sizes) = (Place::Same, packed.sizes);
+                    (region.place, region.sizes) = (Place::Clean, packed.sizes);
                 }
                 self.worker.write(packed)?;
             }
@@ -345,7 +275,7 @@ impl Pager {
         self.worker.commit(State {
             config: *map.config(),
             integrations: map.integrations(),
-            note: note.to_owned(),
+            checkpoint: checkpoint.to_owned(),
         })?;
         loop {
             match self.worker.answer()? {

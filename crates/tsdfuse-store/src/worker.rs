@@ -1,22 +1,22 @@
-//! The thread that reads and writes the file: what is asked of it first is done first.
+//! The thread that reads and writes the file. It serves requests in the order in which they come.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::thread::{Builder, JoinHandle};
 
-use redb::Database;
-use tsdfuse::index::RegionIndex;
-use tsdfuse::map::{BlockPool, RegionBlocks};
+use tsdfuse::index::{BlockIndex, RegionIndex};
+use tsdfuse::map::{Block, BlockPool, RegionBlocks};
 use tsdfuse_io::map_file::pack;
 
 use crate::error::{Result, StoreError};
-use crate::file::{self, Packed, Regions, Sizes, State};
+use crate::file::StoreFile;
+use crate::format::{Packed, Sizes, State};
 
-/// Requests that wait at most: what is asked beyond that waits for the disk.
+/// Requests that wait at most; whoever asks for more waits for the disk.
 const WAITING: usize = 64;
 
 enum Request {
-    /// To be kept; its memory is free then.
+    /// Packs and writes a region, whose memory is free then.
     Keep(RegionBlocks),
     Write(Packed),
     Read(RegionIndex),
@@ -40,23 +40,24 @@ pub(crate) struct Worker {
 }
 
 impl Worker {
-    /// Starts it; regions that it reads have their memory from `pool`.
-    pub(crate) fn start(path: &Path, database: Database, pool: BlockPool) -> Result<Self> {
+    /// Starts the thread; regions that it reads take their memory from `pool`.
+    pub(crate) fn start(mut file: StoreFile, pool: BlockPool) -> Result<Self> {
         let (requests, asked) = sync_channel(WAITING);
         let (answer, answers) = channel();
-        let own = path.to_owned();
+        let path = file.path().to_owned();
         let work = move || {
-            if let Err(error) = serve(&own, &database, &pool, &asked, &answer) {
-                // Nobody is left to tell if this fails.
+            if let Err(error) = serve(&mut file, &pool, &asked, &answer) {
+                // Nobody is left to be told if this fails.
                 let _ = answer.send(Err(error));
             }
         };
         let thread = Builder::new().name("store".into()).spawn(work);
+        let thread = thread.map_err(StoreError::file(&path))?;
         Ok(Self {
-            path: path.to_owned(),
+            path,
             requests: Some(requests),
             answers,
-            thread: Some(thread.map_err(|e| StoreError::file(path)(redb::Error::Io(e)))?),
+            thread: Some(thread),
         })
     }
 
@@ -77,32 +78,34 @@ impl Worker {
     }
 
     fn ask(&self, request: Request) -> Result<()> {
-        let sent = self
-            .requests
-            .as_ref()
-            .is_some_and(|requests| requests.send(request).is_ok());
-        match sent {
-            true => Ok(()),
-            // It ended: its last answers tell why.
-            false => loop {
-                self.answer()?;
-            },
+        let requests = self.requests.as_ref();
+        if requests.is_some_and(|requests| requests.send(request).is_ok()) {
+            return Ok(());
+        }
+        // It ended: its last answer says why.
+        loop {
+            self.answer()?;
         }
     }
 
     /// Waits for an answer.
     pub(crate) fn answer(&self) -> Result<Answer> {
-        self.answers.recv().unwrap_or_else(|_| {
-            Err(StoreError::File {
-                path: self.path.clone(),
-                reason: "the thread that reads and writes it has died".to_owned(),
-            })
-        })
+        self.answers
+            .recv()
+            .unwrap_or_else(|_| Err(stopped(&self.path)))
     }
 
     /// An answer that is there already.
     pub(crate) fn answer_now(&self) -> Option<Result<Answer>> {
         self.answers.try_recv().ok()
+    }
+}
+
+/// The thread tells its error before it ends, and [`crate::PagedMap`] asks nothing of it afterwards; so only a bug gets here.
+fn stopped(path: &Path) -> StoreError {
+    StoreError::File {
+        path: path.to_owned(),
+        reason: "the thread that reads and writes it has stopped".to_owned(),
     }
 }
 
@@ -117,55 +120,46 @@ impl Drop for Worker {
 }
 
 fn serve(
-    path: &Path,
-    database: &Database,
+    file: &mut StoreFile,
     pool: &BlockPool,
     asked: &Receiver<Request>,
     answer: &Sender<Result<Answer>>,
 ) -> Result<()> {
-    let wrong = StoreError::file(path);
-    let tell = |what| answer.send(Ok(what)).is_ok();
-    loop {
-        let transaction = file::begin(database).map_err(&wrong)?;
-        let mut regions = Regions::of(&transaction).map_err(&wrong)?;
-        let state = loop {
-            // What was not committed by the end is forgotten.
-            let Ok(request) = asked.recv() else { return Ok(()) };
-            match request {
-                Request::Keep(region) => {
-                    let packed = packed(&region);
-                    drop(region);
-                    regions.write(&packed).map_err(&wrong)?;
-                    tell(Answer::Kept(packed.index, packed.sizes));
-                }
-                Request::Write(packed) => regions.write(&packed).map_err(&wrong)?,
-                Request::Read(index) => {
-                    let region = regions.read(index, pool, path)?;
-                    tell(Answer::Region(region));
-                }
-                Request::Commit(state) => break state,
+    // What is not committed when the requests end is forgotten.
+    while let Ok(request) = asked.recv() {
+        let done = match request {
+            Request::Keep(region) => {
+                let packed = packed(&region);
+                drop(region);
+                file.write(&packed)?;
+                Answer::Kept(packed.index, packed.sizes)
+            }
+            Request::Write(packed) => {
+                file.write(&packed)?;
+                continue;
+            }
+            Request::Read(index) => Answer::Region(file.read(index, pool)?),
+            Request::Commit(state) => {
+                file.commit(state)?;
+                Answer::Committed
             }
         };
-        drop(regions);
-        file::commit(transaction, &state).map_err(&wrong)?;
-        tell(Answer::Committed);
+        // Nobody listens any more while the map is being dropped.
+        let _ = answer.send(Ok(done));
     }
+    Ok(())
 }
 
-/// The blocks of a region, in order, as they are stored.
-pub(crate) fn packed(region: &RegionBlocks) -> Packed {
+/// The blocks of a region, sorted, as they are stored.
+fn packed(region: &RegionBlocks) -> Packed {
     let mut blocks: Vec<_> = region.blocks().collect();
     blocks.sort_unstable_by_key(|(index, _)| *index);
     packed_blocks(region.index(), &blocks)
 }
 
 /// As [`packed`], of a region that is still in its map.
-pub(crate) fn packed_blocks(
-    index: RegionIndex,
-    blocks: &[(tsdfuse::index::BlockIndex, &tsdfuse::map::Block)],
-) -> Packed {
-    let observed =
-        |(_, block): &(_, &tsdfuse::map::Block)| block.voxels.iter().filter(|v| v.weight_sum > 0).count() as u64;
+pub(crate) fn packed_blocks(index: RegionIndex, blocks: &[(BlockIndex, &Block)]) -> Packed {
+    let observed = |(_, block): &(_, &Block)| block.voxels.iter().filter(|v| v.weight_sum > 0).count() as u64;
     Packed {
         index,
         sizes: Sizes {

@@ -166,6 +166,30 @@ impl Grid {
         (voxel.as_dvec3() + 0.5) * self.voxel_size_m
     }
 
+    /// The cell between eight voxel centres that holds a point in the world: the voxel at its lowest corner, and the position within
+    /// the cell. `None` where the grid ends, and for coordinates that are not finite.
+    pub fn cell(&self, world: DVec3) -> Option<GridPoint> {
+        let v = world / self.voxel_size_m - 0.5;
+        // Also false for NaN.
+        if !v.abs().cmplt(DVec3::splat(MAX_VOXEL)).all() {
+            return None;
+        }
+        let voxel = floor(v);
+        Some(GridPoint {
+            voxel,
+            fraction: (v - voxel.as_dvec3()).as_vec3(),
+        })
+    }
+
+    /// The voxels whose centres lie in a box in the world (`low` included, `high` not): the first along all axes, and the first
+    /// beyond them. Corners may be infinite. `None` if no point lies in the box.
+    pub fn voxels_within(&self, low: DVec3, high: DVec3) -> Option<(IVec3, IVec3)> {
+        // Voxel i has its centre at i + ½; a corner beyond all voxels becomes the last one.
+        let first = |corner: DVec3| (corner / self.voxel_size_m - 0.5).ceil().as_ivec3();
+        // Also false for NaN.
+        low.cmplt(high).all().then(|| (first(low), first(high)))
+    }
+
     /// Anchors a scan in the grid at its sensor's position in the world; `None` where the grid ends.
     pub fn anchor(&self, world: DVec3) -> Option<Anchor> {
         let v = world / self.voxel_size_m;

@@ -40,6 +40,7 @@ pub mod render;
 pub mod scan;
 pub mod sensor;
 pub mod surfel;
+mod trilinear;
 
 pub use fuse::{Integration, Integrator, Normals, Patch, Raycast, Roldao, Surfels};
 pub use glam;

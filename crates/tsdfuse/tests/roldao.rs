@@ -8,6 +8,10 @@ mod common;
 use std::collections::BTreeSet;
 
 use common::{Voxels, assert_agrees, observed, scan};
+use serde::{
+    Deserialize,
+    de::value::{Error, StrDeserializer},
+};
 use tsdfuse::{
     Integration, Integrator, MapConfig, Pose, Roldao, Scan, VoxelMap,
     fuse::{RoldaoConfig, RoldaoForm as Form},
@@ -15,7 +19,7 @@ use tsdfuse::{
     scan::Motion,
 };
 
-const FORMS: [Form; 2] = [Form::Scan, Form::Batch];
+const FORMS: [Form; 2] = [Form::Streaming, Form::Batch];
 
 /// Large voxels, so that few points fill them; lengths are whole in binary, so that shifts are exact.
 const MAP: MapConfig = MapConfig {
@@ -38,7 +42,7 @@ fn fuse_with(scans: &[Scan], config: RoldaoConfig) -> (VoxelMap, Vec<Integration
     let mut map = VoxelMap::new(MAP).unwrap();
     let mut method = Roldao::new(config);
     let mut done: Vec<_> = scans.iter().map(|s| method.integrate(&mut map, s).unwrap()).collect();
-    done.push(method.finish(&mut map));
+    done.push(method.finish(&mut map).unwrap());
     (map, done)
 }
 
@@ -97,7 +101,7 @@ fn literal(scans: &[Scan], config: RoldaoConfig) -> Voxels {
         points.collect()
     };
     let groups: Vec<_> = match config.form {
-        Form::Scan => scans.iter().map(placed).collect(),
+        Form::Streaming => scans.iter().map(placed).collect(),
         Form::Batch => vec![scans.iter().flat_map(placed).collect()],
     };
     let reach = config.max_level as i32;
@@ -225,12 +229,12 @@ fn a_batch_is_written_at_its_end_and_once() {
         assert_eq!((done.fused_returns, done.updated_blocks.len()), (2000, 0));
         assert_eq!(map.block_count(), 0);
     }
-    let mut updated = method.finish(&mut map).updated_blocks;
+    let mut updated = method.finish(&mut map).unwrap().updated_blocks;
     updated.sort();
     assert_eq!(updated, map.block_indices());
     assert!(map == fuse(&scans, Form::Batch));
     let written = map.clone();
-    assert_eq!(method.finish(&mut map).updated_blocks.len(), 0);
+    assert_eq!(method.finish(&mut map).unwrap().updated_blocks.len(), 0);
     assert!(map == written);
 }
 
@@ -332,6 +336,17 @@ fn a_sensor_on_the_floor_sees_the_floor_from_above() {
             assert!((f * MAP.truncation_m - z).abs() < 0.01, "{form:?} {v:?}: {f}");
         }
     }
+}
+
+#[test]
+fn the_paper_form_is_the_default_and_the_old_name_of_the_other_is_read() {
+    assert_eq!(RoldaoConfig::default().form, Form::Batch);
+    let read = |name| Form::deserialize(StrDeserializer::<Error>::new(name)).ok();
+    let read = ["batch", "streaming", "scan", "stream"].map(read);
+    assert_eq!(
+        read,
+        [Some(Form::Batch), Some(Form::Streaming), Some(Form::Streaming), None]
+    );
 }
 
 #[test]

@@ -32,7 +32,7 @@ pub use caminal::{Caminal, CaminalConfig};
 pub use cylindrical::Cylindrical;
 pub use depth::Depth;
 pub use integrator::{FuseError, Integration, Integrator, Skipped};
-pub use kuehner::Kuehner;
+pub use kuehner::{Kuehner, KuehnerConfig};
 pub use method::{FuseConfig, Method};
 pub use normals::Normals;
 pub use patch::{Patch, PatchConfig};

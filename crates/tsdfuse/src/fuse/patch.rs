@@ -185,7 +185,7 @@ impl Integrator for Patch {
                 })
             },
             &AlongPatch { truncation },
-        );
+        )?;
         // Those between returns are none.
         done.fused_returns = done.fused_returns.saturating_sub((patches.len() - returns) as u64);
         if self.config.carve {

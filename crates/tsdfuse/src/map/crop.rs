@@ -12,14 +12,10 @@ impl VoxelMap {
     /// # Errors
     /// [`MapError::Box`] if no point lies in it.
     pub fn cropped(&self, low: DVec3, high: DVec3) -> Result<Self, MapError> {
-        // Also false for NaN.
-        if !low.cmplt(high).all() {
-            return Err(MapError::Box { low, high });
-        }
-        let size = self.config().voxel_size_m;
-        // Voxel i has its centre at i + ½; what is beyond all voxels becomes the last one.
-        let first = |corner: DVec3| (corner / size - 0.5).ceil().as_ivec3();
-        let (first, end) = (first(low), first(high));
+        let (first, end) = self
+            .grid()
+            .voxels_within(low, high)
+            .ok_or(MapError::Box { low, high })?;
         let mut cropped = Self::new(self.config)?;
         cropped.integrations = self.integrations;
         for region in self.regions() {

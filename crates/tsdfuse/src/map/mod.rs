@@ -7,22 +7,31 @@
 //! | `shard` | the table of blocks, in parts that threads own |
 //! | `voxel_map` | [`VoxelMap`] itself |
 //! | `region` | regions of blocks, taken out of a map and put in again |
+//! | `sample`, `observed`, `dense` | queries: the field at points, all that was observed, a box as arrays |
 //! | `merge`, `crop`, `warp` | maps made of maps |
 
 mod block;
 mod config;
 mod crop;
+mod dense;
 mod error;
 mod merge;
+mod observed;
+mod recent;
 mod region;
+mod sample;
 mod shard;
 mod voxel_map;
 mod warp;
 
+pub use crate::memory::OutOfMemory;
 pub use block::{Block, MAX_WEIGHT, Voxel, WEIGHT_SCALE};
 pub(crate) use block::{fixed, min_weight_sum};
 pub use config::MapConfig;
+pub use dense::Dense;
 pub use error::MapError;
+pub use observed::{ObservedBlock, ObservedVoxel};
 pub use region::{BlockPool, RegionBlocks};
+pub use sample::Sample;
 pub(crate) use shard::{NO_SLOT, Shard};
 pub use voxel_map::VoxelMap;

@@ -21,6 +21,7 @@ use super::{
     block::{Block, MAX_WEIGHT_SUM, Voxel},
     config::MapConfig,
     error::MapError,
+    recent::Recent,
     voxel_map::VoxelMap,
 };
 use crate::{
@@ -290,33 +291,5 @@ impl Sums {
             weight_sum: weight as u32,
             distance_sum: (f * weight).round() as i32,
         }
-    }
-}
-
-/// A map, and the blocks of it that were looked up last.
-struct Recent<'a> {
-    map: &'a VoxelMap,
-    blocks: [(BlockIndex, Option<&'a Block>); 64],
-}
-
-impl<'a> Recent<'a> {
-    fn new(map: &'a VoxelMap) -> Self {
-        Self {
-            map,
-            // No map has such a block.
-            blocks: [(BlockIndex(IVec3::MIN), None); 64],
-        }
-    }
-
-    fn voxel(&mut self, voxel: IVec3) -> Voxel {
-        let index = BlockIndex::of(voxel);
-        let low = index.0 & 3;
-        let known = &mut self.blocks[(low.x | low.y << 2 | low.z << 4) as usize % 64];
-        if known.0 != index {
-            *known = (index, self.map.block(index));
-        }
-        known
-            .1
-            .map_or(Voxel::default(), |block| block.voxels[local_number(voxel)])
     }
 }

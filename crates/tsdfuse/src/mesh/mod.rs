@@ -11,7 +11,10 @@ pub(crate) mod neighbourhood;
 #[cfg(test)]
 mod oracle;
 pub(crate) mod signs;
+mod surface;
+pub mod triangle;
 mod updated;
+mod weld;
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -20,6 +23,8 @@ pub use changes::{Changes, Piece};
 pub use cube::triangles as cube_triangles;
 pub use extract::{extract, extract_with};
 pub use incremental::Incremental;
+pub use surface::{CUBE_VOXELS, RegionSource, Surface, is_on_plane};
+pub use weld::{MeshSink, Weld, stitch};
 
 use crate::map::min_weight_sum;
 

@@ -9,25 +9,11 @@
 
 use glam::Vec3;
 
+use crate::trilinear::{Corners, trilinear};
+
 /// A ray that enters a cell this little behind the surface came from the front: the cell before was left this side of it, but
 /// for rounding. In units of the truncation.
 const ROUNDING: f32 = 1e-6;
-
-/// Values at the corners of a cell; corner 1 lies at +x, 2 at +y, 4 at +z.
-pub(super) type Corners<T> = [T; 8];
-
-/// The trilinear interpolation at a place in the cell, coordinates in 0..=1.
-#[inline]
-pub(super) fn trilinear<T>(corners: &Corners<T>, at: Vec3) -> T
-where
-    T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
-{
-    let mix = |a: T, b: T, s: f32| a * (1.0 - s) + b * s;
-    let [a, b, c, d, e, f, g, h] = *corners;
-    let low = mix(mix(a, b, at.x), mix(c, d, at.x), at.y);
-    let high = mix(mix(e, f, at.x), mix(g, h, at.x), at.y);
-    mix(low, high, at.z)
-}
 
 /// Where the way from `enter` to `leave` first crosses the surface from the front (F ≥ 0) to behind it (F < 0), as a share of
 /// the way.

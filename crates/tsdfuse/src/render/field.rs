@@ -4,7 +4,7 @@ use fearless_simd::{Level, dispatch};
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::cell::{Corners, crossing, trilinear};
+use super::cell::crossing;
 use super::tree::{Beam, Leaf, MAX_SPAN, Tree};
 use super::walk::{Ray, Visit};
 use super::{Hit, RenderError};
@@ -13,6 +13,7 @@ use crate::map::{Block, Voxel, VoxelMap};
 use crate::mesh::near::Finder;
 use crate::mesh::neighbourhood::{Cells, Neighbourhood};
 use crate::mesh::{MeshConfig, signs::Signs};
+use crate::trilinear::{Corners, trilinear};
 
 /// The surface of a map.
 #[derive(Debug)]

@@ -2,7 +2,11 @@
 
 #![allow(clippy::unwrap_used)] // test helpers
 
+#[path = "../common/mod.rs"]
+mod common;
 mod crop;
+mod query;
+mod memory;
 mod reach;
 mod region;
 mod warp;

@@ -1,0 +1,399 @@
+//! A map of which only a part is in memory.
+
+use std::io;
+use std::path::Path;
+use std::time::Instant;
+
+use tsdfuse::index::{BlockIndex, Grid, RegionIndex};
+use tsdfuse::map::Block;
+use tsdfuse::mesh::{MeshConfig, MeshSink, RegionSource, Surface, stitch};
+use tsdfuse::{Integration, Integrator, MapConfig, Reach, Scan, VoxelMap};
+use tsdfuse_io::{atomic, map_file::Writer};
+
+use crate::error::{PagedError, Result, StoreError};
+use crate::file::StoreFile;
+use crate::format::{Sizes, State};
+use crate::pager::Pager;
+
+/// A map whose regions are in a file, and in memory only while they are in use.
+///
+/// It is the same, bit for bit, as a [`VoxelMap`] that is all in memory. What has changed since the last [`PagedMap::commit`] is lost with the
+/// process.
+///
+/// After an error of the store ([`StoreError::File`], [`StoreError::Damaged`], [`StoreError::Region`], [`StoreError::BeyondReach`]) the map in
+/// memory is of no use: every later call returns [`StoreError::Broken`] with the message of the first error. The file keeps the last commit.
+#[derive(Debug)]
+pub struct PagedMap {
+    map: VoxelMap,
+    pager: Pager,
+    is_read_only: bool,
+    /// The message of the error that ended it.
+    broken: Option<String>,
+    /// The most memory that [`PagedMap::over_limit`] told, and what it has to tell next.
+    told_bytes: usize,
+    over_limit: Option<OverLimit>,
+    paging_secs: f64,
+}
+
+/// A map takes more memory than it should, because one scan can touch more than fits into the limit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OverLimit {
+    /// Memory that blocks take, in bytes.
+    pub bytes: usize,
+    /// Memory that they should take at most.
+    pub limit_bytes: usize,
+}
+
+/// Whether memory has grown by more than a quarter.
+fn is_much_more(bytes: usize, before: usize) -> bool {
+    bytes > before + before / 4
+}
+
+impl PagedMap {
+    /// Creates a store. It holds an empty map and `checkpoint`; the blocks of `map` follow with the first commit.
+    ///
+    /// `limit_bytes` limits the memory that blocks take; `None` keeps them all in memory. What one scan can touch always stays in memory.
+    ///
+    /// # Errors
+    /// [`StoreError::File`], also if there is such a file.
+    pub fn create(
+        path: impl AsRef<Path>,
+        map: VoxelMap,
+        checkpoint: &[u8],
+        limit_bytes: Option<usize>,
+    ) -> Result<Self> {
+        let empty = State {
+            config: *map.config(),
+            integrations: 0,
+            checkpoint: checkpoint.to_owned(),
+        };
+        let file = StoreFile::create(path.as_ref(), empty)?;
+        let pager = Pager::start(file, Vec::new(), &map, limit_bytes)?;
+        Ok(Self::new(map, pager, false))
+    }
+
+    /// Opens a store: the map as it was committed last, of which nothing is in memory yet, and the checkpoint. No other process may have it open.
+    ///
+    /// # Errors
+    /// [`StoreError::File`] and [`StoreError::Damaged`].
+    pub fn open(path: impl AsRef<Path>, limit_bytes: Option<usize>) -> Result<(Self, Vec<u8>)> {
+        Self::open_as(path.as_ref(), limit_bytes, false)
+    }
+
+    /// Opens a store for reading, as several processes can at the same time, also in a place where nothing can be written.
+    ///
+    /// # Errors
+    /// As [`PagedMap::open`].
+    pub fn open_read_only(path: impl AsRef<Path>, limit_bytes: Option<usize>) -> Result<(Self, Vec<u8>)> {
+        Self::open_as(path.as_ref(), limit_bytes, true)
+    }
+
+    fn open_as(path: &Path, limit_bytes: Option<usize>, is_read_only: bool) -> Result<(Self, Vec<u8>)> {
+        let (file, state) = StoreFile::open(path, !is_read_only)?;
+        let map = VoxelMap::new(state.config);
+        let mut map = map.map_err(|reason| StoreError::Map {
+            path: path.to_owned(),
+            reason,
+        })?;
+        map.set_integrations(state.integrations);
+        let stored = file.regions().collect();
+        let pager = Pager::start(file, stored, &map, limit_bytes)?;
+        Ok((Self::new(map, pager, is_read_only), state.checkpoint))
+    }
+
+    fn new(map: VoxelMap, pager: Pager, is_read_only: bool) -> Self {
+        Self {
+            map,
+            pager,
+            is_read_only,
+            broken: None,
+            told_bytes: 0,
+            over_limit: None,
+            paging_secs: 0.0,
+        }
+    }
+
+    /// The store's file.
+    pub fn path(&self) -> &Path {
+        self.pager.path()
+    }
+
+    /// What the map was made with.
+    pub fn config(&self) -> &MapConfig {
+        self.map.config()
+    }
+
+    /// The voxel grid.
+    pub fn grid(&self) -> Grid {
+        self.map.grid()
+    }
+
+    /// How many scans were fused so far ([`VoxelMap::integrations`]).
+    pub fn integrations(&self) -> u32 {
+        self.map.integrations()
+    }
+
+    /// Continues to count integrations from this number.
+    pub fn set_integrations(&mut self, integrations: u32) {
+        self.map.set_integrations(integrations);
+    }
+
+    /// The regions of the whole map, sorted.
+    pub fn regions(&self) -> Vec<RegionIndex> {
+        self.pager.regions()
+    }
+
+    /// How much the whole map holds, as of the last commit.
+    pub fn sizes(&self) -> Sizes {
+        self.pager.sizes()
+    }
+
+    /// The part of the map that is in memory.
+    pub fn map_in_memory(&self) -> &VoxelMap {
+        &self.map
+    }
+
+    /// Bytes of memory that the blocks and their table take.
+    pub fn memory_bytes(&self) -> usize {
+        self.map.memory_bytes()
+    }
+
+    /// The most memory that they have taken so far.
+    pub fn most_bytes(&self) -> usize {
+        self.pager.most_bytes()
+    }
+
+    /// The limit of memory.
+    pub fn limit_bytes(&self) -> Option<usize> {
+        self.pager.limit_bytes()
+    }
+
+    /// Changes the limit of memory; it holds from the next scan on.
+    pub fn set_limit(&mut self, limit_bytes: Option<usize>) {
+        self.pager.set_limit(limit_bytes);
+        self.told_bytes = 0;
+    }
+
+    /// Returns an event if the last scans needed more memory than the limit allows: the first time, and whenever it has become at least a quarter more than the
+    /// last event said. Each is returned once.
+    pub fn over_limit(&mut self) -> Option<OverLimit> {
+        let event = self.over_limit.take()?;
+        self.told_bytes = event.bytes;
+        Some(event)
+    }
+
+    /// Bytes of the file.
+    pub fn store_bytes(&self) -> u64 {
+        std::fs::metadata(self.path()).map_or(0, |file| file.len())
+    }
+
+    /// Seconds spent so far on loading and evicting regions; commits are not counted.
+    pub fn paging_secs(&self) -> f64 {
+        self.paging_secs
+    }
+
+    /// Fuses a scan: loads the regions within its reach, fuses it, and evicts others while there are more than the limit allows.
+    ///
+    /// # Errors
+    /// [`PagedError::Fuse`] leaves the map as it was. After [`PagedError::Store`] nothing more can be fused.
+    pub fn integrate(&mut self, integrator: &mut dyn Integrator, scan: &Scan) -> Result<Integration, PagedError> {
+        self.check_writable()?;
+        let reach = integrator.reach(self.config(), scan)?;
+        self.paging(|map, pager| {
+            let near = pager.within(map, &reach);
+            pager.load(map, &near)
+        })?;
+        let done = integrator.integrate(&mut self.map, scan);
+        self.settle(done.as_ref().map_or(&[], |done| &done.updated_blocks))?;
+        Ok(done?)
+    }
+
+    /// Ends a series of scans ([`Integrator::finish`]). Unless there is no limit of memory and the store is new, the method must not have kept scans back.
+    ///
+    /// # Errors
+    /// [`StoreError::BeyondReach`] if the method changed regions that are not in memory.
+    pub fn finish(&mut self, integrator: &mut dyn Integrator) -> Result<Integration> {
+        self.check_writable()?;
+        let done = integrator.finish(&mut self.map);
+        self.settle(&done.updated_blocks)?;
+        Ok(done)
+    }
+
+    /// After a change: marks dirty what changed, and evicts what is too much.
+    fn settle(&mut self, updated_blocks: &[BlockIndex]) -> Result<()> {
+        let (bytes, is_under) = self.paging(|map, pager| {
+            pager.mark_dirty(map, updated_blocks)?;
+            Ok((map.memory_bytes(), pager.evict(map)?))
+        })?;
+        let Some(limit_bytes) = self.limit_bytes() else {
+            return Ok(());
+        };
+        let is_over = !is_under || is_much_more(bytes, limit_bytes);
+        let waiting_bytes = self.over_limit.map_or(0, |event| event.bytes);
+        if is_over && is_much_more(bytes, self.told_bytes) && bytes > waiting_bytes {
+            self.over_limit = Some(OverLimit { bytes, limit_bytes });
+        }
+        Ok(())
+    }
+
+    /// Begins to load the regions within the reach of a later scan, without waiting for them. The reach of a scan that was not read yet is about that of the scan
+    /// before, from another position ([`Integrator::reach`], [`Reach::at`]).
+    ///
+    /// # Errors
+    /// [`StoreError::File`] and [`StoreError::Region`].
+    pub fn prefetch(&mut self, reach: &Reach) -> Result<()> {
+        self.paging(|map, pager| {
+            let near = pager.within(map, reach);
+            pager.prefetch(&near)
+        })
+    }
+
+    /// Adds blocks that were made elsewhere: read from a map file, for instance. It is quickest region by region. Returns how many there were.
+    ///
+    /// # Errors
+    /// [`StoreError::Map`] if there is such a block already, or if it is no block of a map; those before it are in the map then.
+    pub fn put_blocks(&mut self, blocks: impl IntoIterator<Item = (BlockIndex, Block)>) -> Result<usize> {
+        let mut count = 0;
+        for (index, block) in blocks {
+            self.put_block(index, block)?;
+            count += 1;
+        }
+        Ok(count)
+    }
+
+    /// Adds one block; see [`PagedMap::put_blocks`].
+    ///
+    /// # Errors
+    /// As [`PagedMap::put_blocks`].
+    pub fn put_block(&mut self, index: BlockIndex, block: Block) -> Result<()> {
+        self.check_writable()?;
+        self.paging(|map, pager| {
+            // Nothing to do while they come region by region.
+            pager.load_next(map, RegionIndex::of(index))?;
+            map.insert_block(index, block).map_err(|reason| StoreError::Map {
+                path: pager.path().to_owned(),
+                reason,
+            })?;
+            pager.mark_dirty(map, &[index])
+        })
+    }
+
+    /// Writes everything that changed, and makes it and `checkpoint` what [`PagedMap::open`] finds. The bytes of the checkpoint are the caller's: which scan
+    /// was the last, for instance. When this returns, no crash takes them away.
+    ///
+    /// # Errors
+    /// [`StoreError::File`]; the file then keeps the commit before.
+    pub fn commit(&mut self, checkpoint: &[u8]) -> Result<()> {
+        self.check_writable()?;
+        self.with_pager(|map, pager| pager.commit(map, checkpoint))
+    }
+
+    /// Visits the regions of the whole map, sorted, each while it is in memory.
+    ///
+    /// # Errors
+    /// [`StoreError::File`] and [`StoreError::Region`], and what `visit` returns.
+    pub fn for_each_region<E: From<StoreError>>(
+        &mut self,
+        mut visit: impl FnMut(&VoxelMap, RegionIndex) -> Result<(), E>,
+    ) -> Result<(), E> {
+        for region in self.pager.regions() {
+            self.load_regions(&[region])?;
+            visit(&self.map, region)?;
+        }
+        Ok(())
+    }
+
+    /// The surface of the whole map, cube by cube. Memory use stays within the limit.
+    pub fn surface(&mut self, config: &MeshConfig) -> Surface<'_> {
+        Surface::new(self, config)
+    }
+
+    /// Sends the surface of the whole map to `sink` as one mesh ([`stitch`]). Memory use stays within the limit.
+    ///
+    /// # Errors
+    /// [`StoreError::File`] and [`StoreError::Region`]; [`StoreError::Sink`] if `sink` fails or there are more than 2³² vertices.
+    pub fn mesh(&mut self, config: &MeshConfig, sink: &mut impl MeshSink) -> Result<()> {
+        stitch(&mut self.surface(config), sink).map_err(StoreError::from_io)
+    }
+
+    /// Saves the whole map as a map file ([`tsdfuse_io::map_file`]). Memory use stays within the limit.
+    ///
+    /// # Errors
+    /// [`StoreError::File`] and [`StoreError::Region`]; [`StoreError::Save`] names the map file.
+    pub fn save(&mut self, path: impl AsRef<Path>) -> Result<()> {
+        let mut failed = None;
+        let written = atomic::write(path, |out| {
+            let mut writer = Writer::new(out, self.config(), self.integrations())?;
+            let blocks = self.for_each_region(|map, region| {
+                let mut blocks = map.blocks_of(region);
+                Ok(blocks.try_for_each(|(index, block)| writer.block(index, block))?)
+            });
+            blocks.map_err(|error| match error {
+                StoreError::Sink(error) => error,
+                error => {
+                    failed = Some(error);
+                    io::ErrorKind::Other.into()
+                }
+            })?;
+            writer.finish().map(drop)
+        });
+        match failed {
+            Some(error) => Err(error),
+            None => Ok(written?),
+        }
+    }
+
+    /// Loads some regions, and evicts others for them.
+    fn load_regions(&mut self, regions: &[RegionIndex]) -> Result<()> {
+        self.paging(|map, pager| {
+            pager.load(map, regions)?;
+            pager.evict(map).map(drop)
+        })
+    }
+
+    fn check_writable(&self) -> Result<()> {
+        if self.is_read_only {
+            return Err(StoreError::ReadOnly {
+                path: self.path().to_owned(),
+            });
+        }
+        Ok(())
+    }
+
+    /// As [`PagedMap::with_pager`]; the time counts as paging.
+    fn paging<T>(&mut self, act: impl FnOnce(&mut VoxelMap, &mut Pager) -> Result<T>) -> Result<T> {
+        let start = Instant::now();
+        let done = self.with_pager(act);
+        self.paging_secs += start.elapsed().as_secs_f64();
+        done
+    }
+
+    /// Everything that can end the map goes through here.
+    fn with_pager<T>(&mut self, act: impl FnOnce(&mut VoxelMap, &mut Pager) -> Result<T>) -> Result<T> {
+        if let Some(cause) = &self.broken {
+            return Err(StoreError::Broken { cause: cause.clone() });
+        }
+        let done = act(&mut self.map, &mut self.pager);
+        if let Err(error) = &done
+            && error.is_final()
+        {
+            self.broken = Some(error.to_string());
+        }
+        done
+    }
+}
+
+impl RegionSource for &mut PagedMap {
+    fn map(&self) -> &VoxelMap {
+        &self.map
+    }
+
+    fn regions(&self) -> Vec<RegionIndex> {
+        self.pager.regions()
+    }
+
+    fn load(&mut self, regions: &[RegionIndex]) -> io::Result<bool> {
+        self.load_regions(regions).map_err(io::Error::other)?;
+        Ok(true)
+    }
+}

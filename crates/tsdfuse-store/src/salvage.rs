@@ -1,0 +1,274 @@
+//! What can be had of a damaged store.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use hashbrown::HashMap;
+use rustc_hash::FxBuildHasher;
+use tsdfuse::index::{BlockIndex, RegionIndex};
+use tsdfuse::map::Block;
+use tsdfuse::{MapConfig, VoxelMap};
+use tsdfuse_io::{atomic, map_file::Writer};
+
+use crate::error::{Result, StoreError};
+use crate::file::{header, lock, read_bytes, read_index, read_region};
+use crate::format::{
+    Extent, INDEX_HEADER, INDEX_MARK, Index, PAGE, REGION_HEADER, REGION_MARK, RegionHeader, Row,
+};
+
+/// The intact regions of a damaged store.
+///
+/// As long as one copy of the index is intact, this is the last commit without the regions that are lost, each of which is known. Without any index, the whole
+/// file is searched for regions, and the newest intact version of each is used: some may be from before the last commit, or from after it.
+#[derive(Debug)]
+pub struct Salvage {
+    path: PathBuf,
+    file: File,
+    config: MapConfig,
+    integrations: u32,
+    checkpoint: Option<Vec<u8>>,
+    regions: Vec<Row>,
+    damage: Damage,
+}
+
+/// What is wrong with a store.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Damage {
+    /// A sentence for each part that is damaged.
+    pub places: Vec<String>,
+    /// The regions that are lost, sorted, and how many blocks they had; `None` if the index is lost, which would tell.
+    pub lost: Option<(Vec<RegionIndex>, u64)>,
+}
+
+/// What a search of the whole file finds.
+#[derive(Default)]
+struct Found {
+    index: Option<Index>,
+    /// The newest version of each region, and the number of its commit.
+    regions: HashMap<RegionIndex, (u64, Row), FxBuildHasher>,
+}
+
+impl Salvage {
+    /// Reads all of a store, and finds out which regions are intact.
+    ///
+    /// # Errors
+    /// [`StoreError::File`] if the file cannot be read, [`StoreError::Damaged`] if neither its header nor its index is intact, or if it is no store.
+    pub fn scan(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let wrong = StoreError::file(path);
+        let file = File::open(path).map_err(&wrong)?;
+        lock(&file, false).map_err(&wrong)?;
+        let damaged = |reason: String| StoreError::Damaged {
+            path: path.to_owned(),
+            reason,
+        };
+        let mut damage = Damage::default();
+        let header = header(&file);
+        if let Err(reason) = &header {
+            damage.places.push(reason.clone());
+        }
+        let index = header.as_ref().ok().map(|(header, _)| read_index(&file, header));
+        if let Some(Err(reason)) = &index {
+            damage.places.push(format!("its index: {reason}"));
+        }
+        let index = match index {
+            Some(Ok(index)) => Ok(index),
+            _ => {
+                let found = Found::search(&file).map_err(&wrong)?;
+                let newest = header.as_ref().ok().map(|(header, _)| header.sequence);
+                found.newest_index(newest)
+            }
+        };
+        let mut salvage = match (index, header) {
+            (Ok(index), _) => Self {
+                path: path.to_owned(),
+                file,
+                config: index.state.config,
+                integrations: index.state.integrations,
+                checkpoint: Some(index.state.checkpoint),
+                regions: index.regions,
+                damage: Damage {
+                    lost: Some((Vec::new(), 0)),
+                    ..damage
+                },
+            },
+            (Err(regions), Ok((header, _))) => Self {
+                path: path.to_owned(),
+                file,
+                config: header.config,
+                integrations: header.integrations,
+                checkpoint: None,
+                regions,
+                damage,
+            },
+            (Err(_), Err(reason)) => return Err(damaged(reason)),
+        };
+        salvage.drop_damaged();
+        Ok(salvage)
+    }
+
+    /// Leaves out the regions that cannot be read.
+    fn drop_damaged(&mut self) {
+        let Self {
+            file, regions, damage, ..
+        } = self;
+        regions.retain(|row| {
+            let Err(reason) = read_region(file, row, |_, _| Ok(())) else {
+                return true;
+            };
+            let index = row.index;
+            damage.places.push(format!("region {:?}: {reason}", index.0.to_array()));
+            if let Some((regions, blocks)) = &mut damage.lost {
+                regions.push(index);
+                *blocks += row.sizes.blocks;
+            }
+            false
+        });
+    }
+
+    /// What the map was made with.
+    pub fn config(&self) -> &MapConfig {
+        &self.config
+    }
+
+    /// How many scans were fused before the last commit.
+    pub fn integrations(&self) -> u32 {
+        self.integrations
+    }
+
+    /// The checkpoint of the last commit; `None` if it is lost.
+    pub fn checkpoint(&self) -> Option<&[u8]> {
+        self.checkpoint.as_deref()
+    }
+
+    /// What is damaged and what is lost.
+    pub fn damage(&self) -> &Damage {
+        &self.damage
+    }
+
+    /// The intact regions, sorted.
+    pub fn regions(&self) -> impl Iterator<Item = RegionIndex> {
+        self.regions.iter().map(|row| row.index)
+    }
+
+    /// Visits the blocks of each intact region: sorted, region by region. Holds one region in memory at a time.
+    ///
+    /// # Errors
+    /// [`StoreError::Region`] if the file has changed since [`Salvage::scan`], and what `visit` returns.
+    pub fn for_each_block<E: From<StoreError>>(
+        &self,
+        mut visit: impl FnMut(BlockIndex, Block) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut blocks = Vec::new();
+        for row in &self.regions {
+            let keep = |index, block| {
+                blocks.push((index, block));
+                Ok(())
+            };
+            read_region(&self.file, row, keep).map_err(|reason| StoreError::Region {
+                path: self.path.clone(),
+                region: row.index,
+                reason,
+            })?;
+            blocks
+                .drain(..)
+                .try_for_each(|(index, block)| visit(index, block))?;
+        }
+        Ok(())
+    }
+
+    /// All intact regions as a map in memory.
+    ///
+    /// # Errors
+    /// As [`Salvage::for_each_block`]; [`StoreError::Map`] if the blocks do not make a map.
+    pub fn map(&self) -> Result<VoxelMap> {
+        let wrong = |reason| StoreError::Map {
+            path: self.path.clone(),
+            reason,
+        };
+        let mut map = VoxelMap::new(self.config).map_err(wrong)?;
+        map.set_integrations(self.integrations);
+        self.for_each_block(|index, block| map.insert_block(index, block).map_err(wrong))?;
+        Ok(map)
+    }
+
+    /// Saves all intact regions as a map file ([`tsdfuse_io::map_file`]), also if they are larger than memory.
+    ///
+    /// # Errors
+    /// As [`Salvage::for_each_block`]; [`StoreError::Save`] names the map file.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        let written = atomic::write(path, |out| {
+            let mut writer = Writer::new(out, &self.config, self.integrations)?;
+            let blocks = self.for_each_block(|index, block| Ok::<_, StoreError>(writer.block(index, &block)?));
+            blocks.map_err(|error| match error {
+                StoreError::Sink(error) => error,
+                error => std::io::Error::other(error),
+            })?;
+            writer.finish().map(drop)
+        });
+        Ok(written?)
+    }
+}
+
+impl Found {
+    /// Looks at the beginning of every page.
+    fn search(mut file: &File) -> std::io::Result<Self> {
+        let mut found = Self::default();
+        let pages = file.metadata()?.len().div_ceil(PAGE);
+        for offset in (0..pages).map(|page| page * PAGE) {
+            let mut start = [0; INDEX_HEADER];
+            let read = file.seek(SeekFrom::Start(offset)).and_then(|_| file.read_exact(&mut start));
+            if read.is_err() {
+                continue;
+            }
+            // What begins with a mark but is damaged otherwise is as good as not there.
+            if start.starts_with(&INDEX_MARK) {
+                let _ = found.try_index(file, offset, &start);
+            } else if start.starts_with(&REGION_MARK) {
+                let _ = found.try_region(file, offset, &start);
+            }
+        }
+        Ok(found)
+    }
+
+    fn try_index(&mut self, file: &File, offset: u64, start: &[u8]) -> Result<(), String> {
+        let length = Index::length(start)?;
+        let index = Index::parse(&read_bytes(file, Extent { offset, length })?)?;
+        if self.index.as_ref().is_none_or(|known| known.sequence < index.sequence) {
+            self.index = Some(index);
+        }
+        Ok(())
+    }
+
+    fn try_region(&mut self, file: &File, offset: u64, start: &[u8]) -> Result<(), String> {
+        let header = RegionHeader::parse(start)?;
+        if self.regions.get(&header.index).is_some_and(|(known, _)| *known > header.sequence) {
+            return Ok(());
+        }
+        let length = REGION_HEADER as u64 + u64::from(header.length);
+        let row = Row {
+            index: header.index,
+            sizes: header.sizes,
+            extent: Extent { offset, length },
+        };
+        read_region(file, &row, |_, _| Ok(()))?;
+        self.regions.insert(header.index, (header.sequence, row));
+        Ok(())
+    }
+
+    /// The index of the last commit, or else the newest regions, sorted.
+    fn newest_index(self, sequence: Option<u64>) -> Result<Index, Vec<Row>> {
+        let newest = self.regions.values().map(|(sequence, _)| *sequence).max();
+        // Regions of the commit that was being made when the program ended are one ahead.
+        let sequence = sequence.or(newest.map(|newest| newest.saturating_sub(1)));
+        match self.index {
+            Some(index) if sequence.is_none_or(|sequence| index.sequence >= sequence) => Ok(index),
+            _ => {
+                let mut rows: Vec<Row> = self.regions.into_values().map(|(_, row)| row).collect();
+                rows.sort_unstable_by_key(|row| row.index);
+                Err(rows)
+            }
+        }
+    }
+}
