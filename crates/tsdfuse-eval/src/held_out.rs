@@ -13,6 +13,7 @@
 use serde::Serialize;
 use tsdfuse::Scan;
 use tsdfuse::render::{Ray, Renderer};
+use tsdfuse::scan::ScanError;
 
 use crate::stats::Stats;
 
@@ -67,13 +68,16 @@ impl Collector {
     }
 
     /// Compares the returns of a scan that is not in the map. Invalid ones must be out of it: see [`Scan::drop_invalid`].
-    pub fn add(&mut self, renderer: &Renderer, scan: &Scan) {
+    ///
+    /// # Errors
+    /// [`ScanError::NoPose`] names a scan without a pose.
+    pub fn add(&mut self, renderer: &Renderer, scan: &Scan) -> Result<(), ScanError> {
         let ray = |(pose, point): (tsdfuse::Pose, &tsdfuse::glam::Vec3)| Ray {
             origin: pose.translation,
             direction: pose.rotation * point.as_dvec3(),
             length_m: f64::from(point.length()) + self.margin_m,
         };
-        let rays: Vec<Ray> = scan.poses().zip(&scan.points).map(ray).collect();
+        let rays: Vec<Ray> = scan.poses()?.zip(&scan.points).map(ray).collect();
         self.returns += rays.len() as u64;
         for (hit, ray) in renderer.cast(&rays).into_iter().zip(&rays) {
             let Some(hit) = hit else { continue };
@@ -84,6 +88,7 @@ impl Collector {
                 self.errors_m.push(off_m);
             }
         }
+        Ok(())
     }
 
     /// Δr of all hits so far, metres.

@@ -319,6 +319,7 @@ pub(crate) mod tests {
         let mut fuser = Fuser::new(map, Method::Raycast, &Default::default(), None).unwrap();
         let scan = Scan {
             points: vec![Vec3::X; 9],
+            pose: Some(tsdfuse::Pose::IDENTITY),
             ..Default::default()
         };
         fuser.integrate(&scan).unwrap();

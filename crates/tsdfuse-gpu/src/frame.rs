@@ -4,6 +4,8 @@ use bytemuck::{Pod, Zeroable};
 use glam::{DMat3, DQuat, Vec3};
 use tsdfuse::{Scan, VoxelMap, fuse::FuseError};
 
+use crate::device::GpuError;
+
 /// What a dispatch is told of the scan.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 #[repr(C)]
@@ -52,14 +54,15 @@ pub(crate) const FUSE: u32 = 1;
 
 impl Frame {
     /// Where a scan is in a map's grid, and how its sensor moves.
-    pub(crate) fn of(scan: &Scan, map: &VoxelMap) -> Result<Self, FuseError> {
-        let position = scan.pose.translation;
+    pub(crate) fn of(scan: &Scan, map: &VoxelMap) -> Result<Self, GpuError> {
+        let pose = scan.world_from_sensor().map_err(FuseError::from)?;
+        let position = pose.translation;
         let anchor = map.grid().anchor(position).ok_or_else(|| FuseError::OutsideGrid {
             scan: scan.name.clone(),
             position,
         })?;
         let (voxel, fraction) = anchor.split();
-        let world = DMat3::from_quat(scan.pose.rotation).as_mat3();
+        let world = DMat3::from_quat(pose.rotation).as_mat3();
         let mut frame = Self {
             world_x: world.x_axis.into(),
             world_y: world.y_axis.into(),
@@ -71,9 +74,13 @@ impl Frame {
             max_weight_sum: map.config().max_weight_sum(),
             ..Self::default()
         };
-        if let (Some(trajectory), Some(motion)) = (scan.trajectory(), scan.motion) {
-            let (rotation, shift) = trajectory.relative_at(motion.secs);
-            let (axis, angle) = rotation_vector(scan.pose.rotation.conjugate() * rotation);
+        if let (Some(sweep), [motion, more @ ..]) = (scan.sweep(), scan.motion.as_slice()) {
+            if !more.is_empty() {
+                let several = "a sweep with more than one further pose".to_owned();
+                return Err(GpuError::Unsupported(several));
+            }
+            let (rotation, shift) = sweep.relative_at(motion.secs);
+            let (axis, angle) = rotation_vector(pose.rotation.conjugate() * rotation);
             frame.turn_axis = axis.into();
             frame.turn_rate = (angle / motion.secs) as f32;
             frame.velocity = (shift / motion.secs).as_vec3().into();

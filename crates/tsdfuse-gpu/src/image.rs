@@ -4,7 +4,7 @@ use tsdfuse::{
     MapConfig, Scan, SensorModel, VoxelMap,
     fuse::{FuseConfig, Method, twin},
     glam::Vec3,
-    scan::Motion,
+    scan::PoseAt,
     sensor::{Cylindrical, DepthImage, NO_RING, NONE, Pinhole, ScanImage, model},
 };
 
@@ -73,6 +73,7 @@ fn turn(sensor: &SensorModel, steps: f32) -> Scan {
     Scan {
         points,
         rings: Some(rings),
+        pose: Some(tsdfuse::Pose::IDENTITY),
         ..Default::default()
     }
 }
@@ -126,13 +127,13 @@ fn pixels_of_cylindrical_images_have_the_cpus_returns() {
         scan.rings = None;
         let time = |i: usize| if i % 1000 == 7 { f32::NAN } else { 1e-6 * i as f32 };
         scan.times = Some((0..scan.points.len()).map(time).collect());
-        scan.motion = Some(Motion {
+        scan.motion = vec![PoseAt {
             pose: tsdfuse::Pose {
                 translation: tsdfuse::glam::DVec3::X,
                 ..Default::default()
             },
             secs: 0.1,
-        });
+        }];
         let image = twin::cylindrical_image(&vlp, Cylindrical::phase_of(&scan.points, vlp.columns));
         let mut want = vec![NONE; image.rows() * image.columns()];
         let depth = |i: u32| image.project(scan.points[i as usize]).depth_m;
@@ -168,6 +169,7 @@ fn depths_of_pixels_are_the_cpus() {
     let scan = crowd(Scan {
         points: (0..20_000).map(point).collect(),
         camera: Some(camera),
+        pose: Some(tsdfuse::Pose::IDENTITY),
         ..Default::default()
     });
     let mut image = DepthImage::default();

@@ -9,7 +9,7 @@
 //! let map = DeviceMap::new(&gpu, MapConfig::default(), Default::default())?;
 //! let mut fuser = Fuser::new(map, Method::Raycast, &Default::default(), None)?;
 //! # let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(1.0, 0.02 * y as f32, 0.02 * z as f32)));
-//! # let scans = [Scan { points: points.collect(), ..Default::default() }];
+//! # let scans = [Scan { points: points.collect(), pose: Some(tsdfuse::Pose::IDENTITY), ..Default::default() }];
 //!
 //! for scan in &scans {
 //!     for done in fuser.integrate(scan)? {

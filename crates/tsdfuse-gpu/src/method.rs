@@ -2,9 +2,9 @@
 
 use tsdfuse::{
     Scan, SensorModel,
-    fuse::{Beams, Distance, FuseConfig, FuseError, Method, PatchConfig, twin},
+    fuse::{Beams, Distance, FuseConfig, FuseError, Method, PatchConfig, rings_of, twin},
     normals::{Estimator, NormalsConfig},
-    sensor::{Pinhole, rings_of},
+    sensor::Pinhole,
 };
 
 use crate::error::GpuError;

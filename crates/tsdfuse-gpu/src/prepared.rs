@@ -134,9 +134,9 @@ impl Surface<'_> {
             .iter()
             .flatten()
             .fold(0.0_f32, |latest, t| latest.max(t.abs()));
-        let shift_m = scan.trajectory().map_or(0.0, |trajectory| {
-            trajectory.relative_at(f64::from(latest_secs)).1.length() as f32
-        });
+        let shift_m = scan
+            .sweep()
+            .map_or(0.0, |sweep| sweep.relative_at(f64::from(latest_secs)).1.length() as f32);
         let each = 1.0 + 2.0 * MOST_BETWEEN;
         weights(&scan.points, |range_m| {
             // Of two that are linked the other one may be nearer, and the middle between them a little more.
@@ -240,7 +240,7 @@ impl Prepared<'_> {
     }
 
     fn times(&self) -> &[f32] {
-        self.scan.trajectory().and(self.scan.times.as_deref()).unwrap_or(&[])
+        self.scan.sweep().and(self.scan.times.as_deref()).unwrap_or(&[])
     }
 }
 

@@ -16,7 +16,8 @@
 use std::path::{Path, PathBuf};
 
 use tsdfuse::glam::Vec3;
-use tsdfuse::scan::Motion;
+use tsdfuse::scan::PoseAt;
+use tsdfuse::trajectory::ns_after;
 use tsdfuse::{Scan, SensorModel};
 
 use crate::cloud::{self, Cloud};
@@ -49,7 +50,7 @@ struct Entry {
     points: PathBuf,
     rings: Option<PathBuf>,
     times: Option<PathBuf>,
-    motion: Option<Motion>,
+    motion: Vec<PoseAt>,
 }
 
 impl ScanFolder {
@@ -124,7 +125,7 @@ impl ScanFolder {
             }
         }
         let still = (0..n)
-            .filter(|&i| self.entries[i].times.is_some() && self.motion(i, &[]).is_none())
+            .filter(|&i| self.entries[i].times.is_some() && self.motion(i, &[]).is_empty())
             .count();
         if still > 0 {
             self.note(format!(
@@ -134,11 +135,14 @@ impl ScanFolder {
     }
 
     /// How the sensor moves while scan `index` measures points at `times`, see the [module](self).
-    fn motion(&self, index: usize, times: &[f32]) -> Option<Motion> {
-        if let Some(motion) = self.entries[index].motion {
-            return Some(motion);
+    fn motion(&self, index: usize, times: &[f32]) -> Vec<PoseAt> {
+        let given = &self.entries[index].motion;
+        if !given.is_empty() {
+            return given.clone();
         }
-        let now = self.scans[index].timestamp_secs?;
+        let Some(now) = self.scans[index].timestamp_secs else {
+            return Vec::new();
+        };
         if let Some(trajectory) = &self.trajectory {
             let outermost = times
                 .iter()
@@ -150,21 +154,25 @@ impl ScanFolder {
                 && secs.abs() <= MAX_STEP_SECS
                 && let Ok(pose) = trajectory.at(now + secs)
             {
-                return Some(Motion { pose, secs });
+                return vec![PoseAt { pose, secs }];
             }
         }
         let neighbours = [index.checked_add(1), index.checked_sub(1)];
         let motions = neighbours.into_iter().flatten().filter_map(|i| {
             let scan = self.scans.get(i)?;
             let secs = scan.timestamp_secs? - now;
-            Some(Motion { pose: scan.pose, secs })
+            Some(PoseAt { pose: scan.pose, secs })
         });
-        motions.into_iter().find(|m| m.secs.abs() <= MAX_STEP_SECS)
+        motions
+            .into_iter()
+            .find(|m| m.secs.abs() <= MAX_STEP_SECS)
+            .into_iter()
+            .collect()
     }
 }
 
 impl Entry {
-    fn new(root: &Path, file: &ScanFile, motion: Option<Motion>) -> Self {
+    fn new(root: &Path, file: &ScanFile, motion: Vec<PoseAt>) -> Self {
         let beside = |folder: &str, extension: &str| {
             let path = root.join(folder).join(&file.name).with_extension(extension);
             path.is_file().then_some(path)
@@ -229,13 +237,13 @@ impl Source for ScanFolder {
         }
         Ok(Scan {
             name: name.clone(),
-            timestamp_secs: *timestamp_secs,
-            motion: times.as_ref().and_then(|times| self.motion(index, times)),
+            time_ns: timestamp_secs.map(|secs| ns_after(0, secs)),
+            motion: times.as_ref().map_or(Vec::new(), |times| self.motion(index, times)),
             points,
             rings,
             times,
             intensities,
-            pose: *pose,
+            pose: Some(*pose),
             ..Default::default()
         })
     }

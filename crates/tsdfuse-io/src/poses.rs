@@ -223,14 +223,14 @@ pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>> {
 }
 
 /// The row of a table (of poses or of times) for each scan: by order or by number, see the [module](self).
-pub(crate) fn rows_of_scans<T: Copy>(path: &Path, what: &str, rows: &[T], scans: &[ScanFile]) -> Result<Vec<T>> {
+pub(crate) fn rows_of_scans<T: Clone>(path: &Path, what: &str, rows: &[T], scans: &[ScanFile]) -> Result<Vec<T>> {
     if rows.len() == scans.len() {
         return Ok(rows.to_vec());
     }
     let by_number = || {
         scans
             .iter()
-            .map(|s| rows.get(s.number()?).copied())
+            .map(|s| rows.get(s.number()?).cloned())
             .collect::<Option<Vec<_>>>()
     };
     let chosen = if rows.len() > scans.len() { by_number() } else { None };

@@ -24,13 +24,10 @@ pub(crate) struct Paged {
     map: PagedMap,
     integrators: Integrators,
     config: MeshConfig,
-    limit_bytes: Option<usize>,
     /// What the last scan could touch.
     reach: Option<Reach>,
     commits: usize,
-    paging_seconds: f64,
     commit_seconds: f64,
-    told_bytes: usize,
     /// A store that only bounds memory is removed in the end.
     temporary: Option<PathBuf>,
 }
@@ -64,12 +61,9 @@ impl Paged {
             map,
             integrators: Integrators::new(&setup.config, sensors),
             config: setup.config.mesh,
-            limit_bytes: setup.memory_bytes,
             reach: None,
             commits: 0,
-            paging_seconds: 0.0,
             commit_seconds: 0.0,
-            told_bytes: setup.memory_bytes.unwrap_or(usize::MAX),
             temporary: None,
         }
     }
@@ -85,7 +79,7 @@ impl Paged {
         let (mut failed, mut blocks) = (None::<StoreError>, 0);
         reader.for_each_block(|index, block| {
             if failed.is_none() {
-                failed = self.map.insert_block(index, block).err();
+                failed = self.map.put_block(index, block).err();
                 blocks += 1;
             }
             Ok(())
@@ -105,17 +99,12 @@ impl Drop for Paged {
 
 impl Backend for Paged {
     fn fuse(&mut self, sensor: usize, scan: &Scan) -> Result<Vec<Settled>, Failed> {
-        let start = Instant::now();
         let method = self.integrators.of(sensor);
-        let reach = method.reach(self.map.config(), scan).map_err(Failed::of)?;
-        let done = self.map.integrate_within(method, scan, &reach);
-        self.reach = Some(reach);
-        let done = done.map_err(|error| match error {
+        self.reach = Some(method.reach(self.map.config(), scan).map_err(Failed::of)?);
+        let done = self.map.integrate(method, scan).map_err(|error| match error {
             PagedError::Fuse(error) => Failed::of(error),
             PagedError::Store(error) => Failed::Run(error.into()),
         })?;
-        let elapsed = start.elapsed().as_secs_f64();
-        self.paging_seconds += elapsed - done.prepare_secs - done.find_secs;
         Ok(vec![done.into()])
     }
 
@@ -184,22 +173,17 @@ impl Backend for Paged {
 
     fn paging(&self) -> Option<PagingReport> {
         Some(PagingReport {
-            limit_bytes: self.limit_bytes,
+            limit_bytes: self.map.limit_bytes(),
             most_bytes: self.map.most_bytes(),
-            store_bytes: fs::metadata(self.map.path()).map_or(0, |file| file.len()),
+            store_bytes: self.map.store_bytes(),
             commits: self.commits,
-            paging_seconds: self.paging_seconds,
+            paging_seconds: self.map.paging_secs(),
             commit_seconds: self.commit_seconds,
         })
     }
 
     fn over_limit(&mut self) -> Option<usize> {
-        let bytes = self.map.memory_bytes();
-        let is_news = bytes > self.told_bytes;
-        is_news.then(|| {
-            self.told_bytes = bytes + bytes / 4;
-            bytes
-        })
+        self.map.over_limit().map(|over| over.bytes)
     }
 }
 

@@ -4,10 +4,10 @@ use std::path::Path;
 use std::time::Instant;
 
 use tsdfuse::glam::{DVec3, Vec3};
-use tsdfuse::mesh::{Mesh, MeshConfig, extract_with};
+use tsdfuse::mesh::{Mesh, MeshConfig, MeshSink, Surface, extract_with};
 use tsdfuse::VoxelMap;
-use tsdfuse_io::{map_file::Writer, ply};
-use tsdfuse_store::{PagedMap, Sink, StoreError};
+use tsdfuse_io::ply;
+use tsdfuse_store::PagedMap;
 
 use crate::error::{Result, RunError};
 use crate::report::{MeshReport, SavedMap};
@@ -64,7 +64,7 @@ pub fn write_by(
     path: &Path,
 ) -> Result<MeshReport> {
     if is_tileset(path) {
-        return tiles::write(path, &mut tsdfuse::mesh::Surface::of(map, config));
+        return tiles::write(path, &mut Surface::new(map, config));
     }
     write_mesh(extract, map.block_count(), config, path)
 }
@@ -133,33 +133,14 @@ pub fn write_in_parts(map: &mut PagedMap, config: &MeshConfig, path: &Path) -> R
 /// If the store cannot be read, or the file cannot be written.
 pub fn save_in_parts(map: &mut PagedMap, path: &Path) -> Result<SavedMap> {
     let start = Instant::now();
-    let mut failed: Option<RunError> = None;
-    let written = tsdfuse_io::atomic::write(path, |out| {
-        let mut writer = Writer::new(out, map.config(), map.integrations())?;
-        let saved = map.for_each_region(|map, region| {
-            let mut blocks = map.blocks_of(region);
-            Ok(blocks.try_for_each(|(index, block)| writer.block(index, block))?)
-        });
-        saved.map_err(|error: StoreError| match error {
-            StoreError::Sink(error) => error,
-            error => {
-                failed = Some(error.into());
-                std::io::Error::other("the store cannot be read")
-            }
-        })?;
-        writer.finish().map(drop)
-    });
-    match (written, failed) {
-        (Ok(()), _) => Ok(SavedMap::written(path, start)),
-        (Err(_), Some(error)) => Err(error),
-        (Err(error), None) => Err(error.into()),
-    }
+    map.save(path)?;
+    Ok(SavedMap::written(path, start))
 }
 
 /// A PLY file that takes a mesh in parts.
 struct Parts(ply::Stream);
 
-impl Sink for Parts {
+impl MeshSink for Parts {
     fn vertices(&mut self, positions: &[DVec3], normals: &[Vec3]) -> std::io::Result<()> {
         self.0.vertices(positions, normals)
     }
@@ -174,6 +155,8 @@ mod tiles {
     use std::path::Path;
     use std::time::Instant;
 
+    use tsdfuse::mesh::Surface;
+
     use crate::error::{Result, RunError};
     use crate::report::{MeshReport, TilesReport};
 
@@ -181,7 +164,7 @@ mod tiles {
         tsdfuse_tiles::check(path).map_err(RunError::config)
     }
 
-    pub(super) fn write(path: &Path, surface: &mut tsdfuse::mesh::Surface<'_>) -> Result<MeshReport> {
+    pub(super) fn write(path: &Path, surface: &mut Surface<'_>) -> Result<MeshReport> {
         let start = Instant::now();
         let written = tsdfuse_tiles::write(path, surface)?;
         Ok(MeshReport {

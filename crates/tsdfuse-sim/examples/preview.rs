@@ -46,7 +46,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for scan in simulator.scans() {
         let intensities = scan.intensities.iter().flatten();
         for (point, intensity) in scan.points.iter().zip(intensities) {
-            let p = scan.pose.transform_point(point.as_dvec3());
+            let p = scan.pose.unwrap().transform_point(point.as_dvec3());
             writeln!(cloud, "{:.4} {:.4} {:.4} {intensity:.3}", p.x, p.y, p.z)?;
         }
     }

@@ -16,11 +16,11 @@
 //! let config = SimulatorConfig { noise: NoiseModel::none(), ..Default::default() };
 //! let simulator = Simulator::new(scene, sensor, path, config).unwrap();
 //! for scan in simulator.scans() {
-//!     for point in &scan.points {
-//!         let point_in_world = scan.pose.transform_point(point.as_dvec3());
+//!     for point_in_world in scan.points_in_world()? {
 //!         assert!(simulator.scene().signed_distance(point_in_world).abs() < 1e-5);
 //!     }
 //! }
+//! # Ok::<(), tsdfuse::scan::ScanError>(())
 //! ```
 
 mod beam;

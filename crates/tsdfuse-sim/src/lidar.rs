@@ -18,8 +18,9 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use tsdfuse::pose::Interpolation;
-use tsdfuse::scan::{Dropped, Motion, Trajectory};
+use tsdfuse::scan::{Dropped, PoseAt, Sweep};
 use tsdfuse::sensor::SensorError;
+use tsdfuse::trajectory::ns_after;
 use tsdfuse::{Pose, Scan, SensorModel};
 
 use crate::beam::{Beam, Receiver};
@@ -75,7 +76,7 @@ pub enum SimulationError {
 /// A scan holds the returns column by column, within a column by ring; what did not return is counted in
 /// [`Scan::dropped`]. Points are in the sensor frame at their own time, intensities are the surface's reflectivity × the cosine
 /// of incidence. With [`SimulatorConfig::motion`] every point has its time, and [`Scan::motion`] is the path's next pose: the
-/// sensor moves exactly as [`Scan::trajectory`] says. The same input gives the same scans on any number of threads.
+/// sensor moves exactly as [`Scan::sweep`] says. The same input gives the same scans on any number of threads.
 #[derive(Clone, Debug)]
 pub struct Simulator {
     scene: Scene,
@@ -165,9 +166,10 @@ impl Simulator {
 
     fn scan(&self, number: usize, pose: Pose) -> Scan {
         let motion = self.motion(number, pose);
+        let sweep = motion.map(|next| Sweep::new(pose, &[next]));
         let columns: Vec<Column> = (0..self.sensor.columns)
             .into_par_iter()
-            .map(|column| self.fire(number, column, pose, motion.as_ref()))
+            .map(|column| self.fire(number, column, pose, sweep.as_ref()))
             .collect();
         let returns = || columns.iter().flat_map(|c| &c.returns);
         let mut dropped = Dropped::default();
@@ -176,39 +178,39 @@ impl Simulator {
         }
         Scan {
             name: format!("{number:06}"),
-            timestamp_secs: Some(number as f64 / self.config.rate_hz),
+            time_ns: Some(ns_after(0, number as f64 / self.config.rate_hz)),
             points: returns().map(|r| r.point).collect(),
             rings: Some(returns().map(|r| r.ring).collect()),
             times: motion.map(|_| returns().map(|r| r.time).collect()),
             intensities: Some(returns().map(|r| r.intensity).collect()),
-            pose,
-            motion,
+            pose: Some(pose),
+            motion: motion.into_iter().collect(),
             dropped,
             ..Default::default()
         }
     }
 
     /// Where the sensor is one turn later: at the path's next pose; after the last one it goes on as before.
-    fn motion(&self, number: usize, pose: Pose) -> Option<Motion> {
+    fn motion(&self, number: usize, pose: Pose) -> Option<PoseAt> {
         let next = || match (self.path.get(number + 1), number.checked_sub(1)) {
             (Some(&next), _) => next,
             (None, Some(previous)) => Interpolation::new(self.path[previous], pose).at(2.0),
             (None, None) => pose,
         };
-        self.config.motion.then(|| Motion {
+        self.config.motion.then(|| PoseAt {
             pose: next(),
             secs: 1.0 / self.config.rate_hz,
         })
     }
 
     /// All beams of one column.
-    fn fire(&self, scan: usize, column: u32, start: Pose, motion: Option<&Motion>) -> Column {
+    fn fire(&self, scan: usize, column: u32, start: Pose, sweep: Option<&Sweep>) -> Column {
         let share = f64::from(column) / f64::from(self.sensor.columns);
         let azimuth = DQuat::from_rotation_z(-TAU * share);
         // As stored, so that who reads the time finds the pose that was used.
         let time = (share / self.config.rate_hz) as f32;
-        let (rotation, shift) = motion.map_or((start.rotation, DVec3::ZERO), |m| {
-            Trajectory::new(start, m).relative_at(f64::from(time))
+        let (rotation, shift) = sweep.map_or((start.rotation, DVec3::ZERO), |sweep| {
+            sweep.relative_at(f64::from(time))
         });
         let origin = start.translation - self.scene.offset_m() + shift;
         let [near, far] = [self.sensor.min_range_m, self.sensor.max_range_m].map(f64::from);

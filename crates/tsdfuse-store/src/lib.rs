@@ -14,11 +14,11 @@
 //! which scan was the last. After a crash at any moment, the file holds the last commit, all of it and nothing later.
 //!
 //! ```
-//! use tsdfuse::{MapConfig, Raycast, Scan, VoxelMap, glam::Vec3};
+//! use tsdfuse::{MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3};
 //! use tsdfuse_store::PagedMap;
 //! # let dir = tempfile::tempdir()?;
 //! # let path = dir.path().join("street.store");
-//! # let scan = Scan { points: vec![Vec3::new(4.0, 0.0, 0.0)], ..Default::default() };
+//! # let scan = Scan { points: vec![Vec3::new(4.0, 0.0, 0.0)], pose: Some(Pose::IDENTITY), ..Default::default() };
 //! let mut map = PagedMap::create(&path, VoxelMap::new(MapConfig::default())?, b"", Some(64 << 20))?;
 //! let done = map.integrate(&mut Raycast::default(), &scan)?;
 //! map.commit(b"one scan")?;

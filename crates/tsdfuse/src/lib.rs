@@ -9,7 +9,7 @@
 //!
 //! // One scan: returns in the sensor frame (x forward, y left, z up), and where the sensor was.
 //! let wall = (-30..30).flat_map(|y| (-20..20).map(move |z| Vec3::new(4.0, 0.03 * y as f32, 0.03 * z as f32)));
-//! let scan = Scan { points: wall.collect(), pose: Pose::IDENTITY, ..Default::default() };
+//! let scan = Scan { points: wall.collect(), pose: Some(Pose::IDENTITY), ..Default::default() };
 //!
 //! let done = fuser.integrate(&mut map, &scan)?; // which blocks changed, what was left out
 //! assert!(!done.updated_blocks.is_empty());
@@ -18,7 +18,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The types to know: [`Scan`] (with [`Pose`] and [`scan::Motion`], by which movement during the sweep is undone),
+//! The types to know: [`Scan`] (with [`Pose`] and [`scan::PoseAt`], by which movement during the sweep is undone), [`Trajectory`],
 //! [`VoxelMap`], the trait [`Integrator`] with one type per method ([`Patch`], [`Raycast`], [`Normals`], …; by name: [`fuse::Method`]),
 //! [`Mesh`], and [`SensorModel`] for what a rotating LiDAR's beams look like.
 //!
@@ -40,6 +40,7 @@ pub mod render;
 pub mod scan;
 pub mod sensor;
 pub mod surfel;
+pub mod trajectory;
 mod trilinear;
 
 pub use fuse::{Integration, Integrator, Normals, Patch, Raycast, Roldao, Surfels};
@@ -50,3 +51,4 @@ pub use pose::Pose;
 pub use reach::Reach;
 pub use scan::Scan;
 pub use sensor::SensorModel;
+pub use trajectory::Trajectory;

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::{
     index::{Grid, REGION_SHIFT, RegionIndex},
     map::MapConfig,
+    pose::Pose,
     scan::{Scan, ScanError},
     sensor::approx::atan2_f32,
 };
@@ -48,26 +49,34 @@ const NEIGHBOURHOOD_VOX: f64 = 16.0;
 /// bands around a surface within this many truncations (a camera measures along its optical axis, which is less at its corners).
 const TRUNCATIONS: f64 = 4.0;
 
-/// How far the sensor was from the scan's pose while it measured, and by how much it was turned.
-fn motion(scan: &Scan) -> (f64, f64) {
+/// How far the sensor was from its pose while it measured, and how much it was turned.
+fn motion(scan: &Scan, pose: &Pose) -> (f64, f64) {
     let times = scan.times.iter().flatten().copied().filter(|t| t.is_finite());
     let range = times.fold(None, |range: Option<(f32, f32)>, t| {
         let (low, high) = range.unwrap_or((t, t));
         Some((low.min(t), high.max(t)))
     });
-    // At constant velocity it is farthest at the first or the last return.
-    scan.trajectory()
-        .zip(range)
-        .map_or((0.0, 0.0), |(trajectory, (low, high))| {
-            let [a, b] = [low, high].map(|t| trajectory.relative_at(f64::from(t)));
-            let turn = |rotation: glam::DQuat| rotation.angle_between(scan.pose.rotation);
-            (a.1.length().max(b.1.length()), turn(a.0).max(turn(b.0)))
+    let Some((sweep, (low, high))) = scan.sweep().zip(range) else {
+        return (0.0, 0.0);
+    };
+    // At constant velocity it is farthest at the first or the last return, or where the velocity changes.
+    let (low, high) = (f64::from(low), f64::from(high));
+    let between = sweep.knots().filter(|t| (low..high).contains(t));
+    [low, high]
+        .into_iter()
+        .chain(between)
+        .fold((0.0, 0.0), |(way_m, turn_rad): (f64, f64), secs| {
+            let (rotation, shift) = sweep.relative_at(secs);
+            (
+                way_m.max(shift.length()),
+                turn_rad.max(rotation.angle_between(pose.rotation)),
+            )
         })
 }
 
 /// The range of the farthest return, and the farthest horizontal distance in each sector.
-fn farthest(scan: &Scan) -> (f32, [f32; SECTORS]) {
-    let rotation = DMat3::from_quat(scan.pose.rotation).as_mat3();
+fn farthest(scan: &Scan, pose: &Pose) -> (f32, [f32; SECTORS]) {
+    let rotation = DMat3::from_quat(pose.rotation).as_mat3();
     let of = |points: &[Vec3]| {
         let (mut farthest, mut sectors) = (0.0f32, [0.0f32; SECTORS]);
         for point in points.iter().map(|p| rotation * p) {
@@ -103,10 +112,11 @@ impl Reach {
     /// [`ScanError`] if the scan contradicts itself.
     pub fn of(map: &MapConfig, scan: &Scan) -> Result<Self, ScanError> {
         scan.check()?;
-        let (way_m, turn_rad) = motion(scan);
-        let (farthest_m, sectors_m) = farthest(scan);
+        let pose = scan.world_from_sensor()?;
+        let (way_m, turn_rad) = motion(scan, &pose);
+        let (farthest_m, sectors_m) = farthest(scan, &pose);
         let reach = Self {
-            center: scan.pose.translation,
+            center: pose.translation,
             farthest_m,
             radius_m: FACTOR * f64::from(farthest_m),
             sectors_m: sectors_m.map(|range_m| FACTOR as f32 * range_m),

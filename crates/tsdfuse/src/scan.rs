@@ -9,16 +9,16 @@ use crate::sensor::Pinhole;
 /// One sweep (or one frame) of a range sensor.
 ///
 /// Points are in the sensor frame (x forward, y left, z up, metres) **at the moment each was measured**. Where `times` and
-/// `motion` are given, every return is placed from its own sensor pose, so that motion within the sweep is undone
-/// (deskew); otherwise all returns are placed from `pose`.
+/// `motion` are given, each return is placed from the sensor's pose at its own time, which undoes motion within the sweep
+/// (deskewing); otherwise all returns are placed from `pose`.
 ///
 /// The optional columns `rings`, `times` and `intensities` have one entry per point; [`Scan::check`] verifies that.
 #[derive(Clone, Debug, Default)]
 pub struct Scan {
-    /// What to call this scan in messages: a file name, usually.
+    /// What messages call this scan: usually a file name.
     pub name: String,
-    /// Seconds since some epoch, of `pose`.
-    pub timestamp_secs: Option<f64>,
+    /// Nanoseconds since the log's epoch (1970 where the log gives absolute time), of `pose` and of time 0 of `times`.
+    pub time_ns: Option<i64>,
     /// Returns in the sensor frame, metres. May hold invalid returns until [`Scan::drop_invalid`] has run.
     pub points: Vec<Vec3>,
     /// The laser of each return, 0 = lowest.
@@ -27,23 +27,24 @@ pub struct Scan {
     pub times: Option<Vec<f32>>,
     /// Intensity of each return, in the sensor's own unit.
     pub intensities: Option<Vec<f32>>,
-    /// `world_from_sensor` at time 0.
-    pub pose: Pose,
-    /// How the sensor moves during the scan.
-    pub motion: Option<Motion>,
+    /// `world_from_sensor` at time 0. `None` where it is not known (yet): such a scan cannot be fused.
+    pub pose: Option<Pose>,
+    /// Further poses during the sweep, in order of time, none at time 0. Empty: the sensor stands still, or its motion is
+    /// not known.
+    pub motion: Vec<PoseAt>,
     /// The camera, where the scan is a depth image: each point lies on the ray through the centre of its pixel.
     pub camera: Option<Pinhole>,
     /// What the reader and [`Scan::drop_invalid`] left out so far.
     pub dropped: Dropped,
 }
 
-/// A second pose of the sensor, so that poses during the scan can be interpolated (or extrapolated).
-#[derive(Clone, Copy, Debug)]
-pub struct Motion {
-    /// `world_from_sensor` at `secs`.
-    pub pose: Pose,
-    /// Seconds from the scan's own pose to this one: not zero, negative for an earlier pose.
+/// A pose of the sensor at another time of the sweep.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseAt {
+    /// Seconds after the scan's pose (negative: before it).
     pub secs: f64,
+    /// `world_from_sensor` at that time.
+    pub pose: Pose,
 }
 
 /// Returns that were left out, by reason.
@@ -115,9 +116,10 @@ impl RangeLimits {
     /// [`RangeError`] names both limits.
     pub fn validate(&self) -> Result<(), RangeError> {
         // Also false for NaN.
-        match self.min_range_m >= 0.0 && self.min_range_m < self.max_range_m {
-            true => Ok(()),
-            false => Err(RangeError(*self)),
+        if self.min_range_m >= 0.0 && self.min_range_m < self.max_range_m {
+            Ok(())
+        } else {
+            Err(RangeError(*self))
         }
     }
 }
@@ -137,18 +139,26 @@ pub enum ScanError {
         /// Points in the scan.
         points: usize,
     },
-    /// Without a usable second pose there is nothing to interpolate.
-    #[error("{scan}: the second pose for motion compensation is {secs} s away from the first")]
+    /// Poses during the sweep have finite times that ascend and are not 0.
+    #[error(
+        "{scan}: a pose for motion compensation is {secs} s away from the scan's: such times must be finite, not 0, and ascend"
+    )]
     Motion {
         /// The scan's name.
         scan: String,
-        /// The time between the two poses.
+        /// The time that is wrong.
         secs: f64,
+    },
+    /// Nobody knows where the sensor was.
+    #[error("{scan}: has no pose, so it cannot be placed in the world")]
+    NoPose {
+        /// The scan's name.
+        scan: String,
     },
 }
 
 impl Scan {
-    /// Checks that the per-point columns agree in length and that the motion spans time.
+    /// Checks that the per-point columns agree in length and that the times of the motion ascend.
     ///
     /// # Errors
     /// [`ScanError`] names the scan and the column.
@@ -168,13 +178,15 @@ impl Scan {
                 });
             }
         }
-        match self.motion {
-            Some(m) if !(m.secs.is_finite() && m.secs != 0.0) => Err(ScanError::Motion {
-                scan: self.name.clone(),
-                secs: m.secs,
-            }),
-            _ => Ok(()),
+        let mut last = f64::NEG_INFINITY;
+        for &PoseAt { secs, .. } in &self.motion {
+            if !(secs.is_finite() && secs != 0.0 && secs > last) {
+                let scan = self.name.clone();
+                return Err(ScanError::Motion { scan, secs });
+            }
+            last = secs;
         }
+        Ok(())
     }
 
     /// Removes returns that measure nothing, counting each by its reason in `dropped`; order is kept.
@@ -227,59 +239,127 @@ impl Scan {
         self.intensities.iter_mut().for_each(|c| filter(c, keep));
     }
 
-    /// `world_from_sensor` at the moment of each return.
-    pub fn poses(&self) -> impl Iterator<Item = Pose> {
-        let trajectory = self.trajectory();
-        (0..self.points.len()).map(move |i| {
-            let secs = self.times.as_ref().and_then(|times| times.get(i));
-            match (&trajectory, secs) {
-                (Some(trajectory), Some(&secs)) => trajectory.at(f64::from(secs)),
-                _ => self.pose,
-            }
+    /// `world_from_sensor` at time 0.
+    ///
+    /// # Errors
+    /// [`ScanError::NoPose`] names the scan.
+    pub fn world_from_sensor(&self) -> Result<Pose, ScanError> {
+        self.pose.ok_or_else(|| ScanError::NoPose {
+            scan: self.name.clone(),
         })
+    }
+
+    /// `world_from_sensor` at the moment of each return.
+    ///
+    /// # Errors
+    /// [`ScanError::NoPose`] names the scan.
+    pub fn poses(&self) -> Result<impl Iterator<Item = Pose>, ScanError> {
+        let (pose, sweep) = (self.world_from_sensor()?, self.sweep());
+        Ok((0..self.points.len()).map(move |i| {
+            let secs = self.times.as_ref().and_then(|times| times.get(i));
+            match (&sweep, secs) {
+                (Some(sweep), Some(&secs)) => sweep.at(f64::from(secs)),
+                _ => pose,
+            }
+        }))
     }
 
     /// All points in the world, each placed from where the sensor was when it measured it.
-    pub fn points_in_world(&self) -> impl Iterator<Item = DVec3> + '_ {
-        let placed = self.poses().zip(&self.points);
-        placed.map(|(pose, point)| pose.transform_point(point.as_dvec3()))
+    ///
+    /// # Errors
+    /// [`ScanError::NoPose`] names the scan.
+    pub fn points_in_world(&self) -> Result<impl Iterator<Item = DVec3>, ScanError> {
+        let placed = self.poses()?.zip(&self.points);
+        Ok(placed.map(|(pose, point)| pose.transform_point(point.as_dvec3())))
     }
 
-    /// The sensor's motion as a function of seconds after `pose`; `None` where all returns are placed from `pose`.
-    pub fn trajectory(&self) -> Option<Trajectory> {
-        let motion = self.motion.filter(|m| m.secs != 0.0 && self.times.is_some())?;
-        Some(Trajectory {
-            motion: Interpolation::new(self.pose, motion.pose),
-            per_sec: 1.0 / motion.secs,
-        })
+    /// The sensor's motion as a function of seconds after `pose`; `None` where all returns are placed from `pose`, and where
+    /// that is missing.
+    pub fn sweep(&self) -> Option<Sweep> {
+        let moves = !self.motion.is_empty() && self.times.is_some();
+        self.pose.filter(|_| moves).map(|pose| Sweep::new(pose, &self.motion))
     }
 }
 
-/// Where the sensor is at each moment of a scan.
+/// Where the sensor is at each moment of a scan: at constant velocity from pose to pose, and beyond the outermost ones.
+#[derive(Clone, Debug)]
+pub struct Sweep {
+    /// In order of time; at least one.
+    pieces: Vec<Piece>,
+}
+
+/// The motion between two neighbouring poses.
 #[derive(Clone, Copy, Debug)]
-pub struct Trajectory {
+struct Piece {
+    /// It holds up to this time; the last one beyond it, too.
+    until_secs: f64,
+    /// From the pose nearer to time 0 to the other one.
     motion: Interpolation,
+    /// The time of the pose nearer to time 0.
+    from_secs: f64,
     per_sec: f64,
+    /// From the scan's position to that of the pose nearer to time 0, metres.
+    from_shift: DVec3,
 }
 
-impl Trajectory {
-    /// The motion between two poses `secs` apart.
-    pub fn new(from: Pose, to: &Motion) -> Self {
-        Self {
-            motion: Interpolation::new(from, to.pose),
-            per_sec: 1.0 / to.secs,
+impl Sweep {
+    /// The motion through the scan's own pose and further ones, which are in order of time (see [`Scan::motion`]). Without
+    /// further poses the sensor stands still.
+    pub fn new(pose: Pose, motion: &[PoseAt]) -> Self {
+        let own = PoseAt { secs: 0.0, pose };
+        let piece = |from: PoseAt, to: PoseAt| Piece {
+            until_secs: from.secs.max(to.secs),
+            motion: Interpolation::new(from.pose, to.pose),
+            from_secs: from.secs,
+            per_sec: 1.0 / (to.secs - from.secs),
+            // Adding −0 changes no number, not even the sign of a zero.
+            from_shift: if from.secs == 0.0 {
+                DVec3::splat(-0.0)
+            } else {
+                from.pose.translation - pose.translation
+            },
+        };
+        let (before, after) = motion.split_at(motion.partition_point(|m| m.secs < 0.0));
+        let mut pieces = Vec::with_capacity(motion.len().max(1));
+        let ends = before.iter().copied().zip(before.iter().skip(1).copied().chain([own]));
+        pieces.extend(ends.map(|(earlier, later)| piece(later, earlier)));
+        let starts = [own].into_iter().chain(after.iter().copied());
+        pieces.extend(starts.zip(after.iter().copied()).map(|(from, to)| piece(from, to)));
+        if pieces.is_empty() {
+            pieces.push(Piece {
+                per_sec: 0.0,
+                ..piece(own, own)
+            });
         }
+        Self { pieces }
+    }
+
+    /// The piece at a time, and how far along it that is.
+    #[inline]
+    fn piece(&self, secs: f64) -> (&Piece, f64) {
+        let last = self.pieces.len() - 1;
+        let piece = &self.pieces[self.pieces[..last].partition_point(|piece| piece.until_secs < secs)];
+        (piece, (secs - piece.from_secs) * piece.per_sec)
     }
 
     /// `world_from_sensor`, `secs` after the scan's pose.
     pub fn at(&self, secs: f64) -> Pose {
-        self.motion.at(secs * self.per_sec)
+        let (piece, s) = self.piece(secs);
+        piece.motion.at(s)
     }
 
     /// Rotation of the sensor, and its translation relative to the scan's pose (exact far from the world's origin).
-    pub fn relative_at(&self, secs: f64) -> (glam::DQuat, glam::DVec3) {
-        let s = secs * self.per_sec;
-        (self.motion.rotation_at(s), self.motion.shift_at(s))
+    #[inline]
+    pub fn relative_at(&self, secs: f64) -> (glam::DQuat, DVec3) {
+        let (piece, s) = self.piece(secs);
+        (piece.motion.rotation_at(s), piece.from_shift + piece.motion.shift_at(s))
+    }
+
+    /// Seconds after the scan's pose at which the velocity changes: the times of all poses but the outermost ones.
+    pub fn knots(&self) -> impl Iterator<Item = f64> {
+        self.pieces[..self.pieces.len() - 1]
+            .iter()
+            .map(|piece| piece.until_secs)
     }
 }
 
@@ -337,5 +417,99 @@ mod tests {
             ..Default::default()
         };
         assert_eq!(scan.check().unwrap_err().to_string(), ": 3 points but 2 rings");
+    }
+
+    fn posed(x: f64, yaw: f64) -> Pose {
+        Pose {
+            rotation: glam::DQuat::from_rotation_z(yaw),
+            translation: DVec3::new(1e6 + x, -3e5, 0.0),
+        }
+    }
+
+    /// With one further pose, the bits of the plain formula; also before time 0 and beyond the pose.
+    #[test]
+    fn two_poses_are_one_straight_motion() {
+        for secs in [0.1, -0.1] {
+            let (a, b) = (posed(0.0, 0.2), posed(0.7, -0.3));
+            let sweep = Sweep::new(a, &[PoseAt { secs, pose: b }]);
+            let plain = Interpolation::new(a, b);
+            for t in [-0.25, -0.05, -0.0, 0.0, 0.033, 0.1, 0.17] {
+                let s = t * (1.0 / secs);
+                assert_eq!(sweep.at(t), plain.at(s));
+                let (rotation, shift) = sweep.relative_at(t);
+                assert_eq!(rotation, plain.rotation_at(s));
+                assert_eq!(
+                    shift.to_array().map(f64::to_bits),
+                    plain.shift_at(s).to_array().map(f64::to_bits)
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_sweep_meets_each_of_its_poses_and_goes_on_beyond_them() {
+        let motion = [(-0.2, -3.0, 0.4), (-0.1, -1.0, 0.1), (0.05, 1.0, -0.2), (0.1, 3.0, 0.3)];
+        let motion = motion.map(|(secs, x, yaw)| PoseAt {
+            secs,
+            pose: posed(x, yaw),
+        });
+        let own = posed(0.0, 0.0);
+        let sweep = Sweep::new(own, &motion);
+        for PoseAt { secs, pose } in motion.into_iter().chain([PoseAt { secs: 0.0, pose: own }]) {
+            let (at, (rotation, shift)) = (sweep.at(secs), sweep.relative_at(secs));
+            assert!(at.translation.distance(pose.translation) < 1e-9, "{secs}");
+            assert!(
+                at.rotation.angle_between(pose.rotation) < 1e-7 && rotation == at.rotation,
+                "{secs}"
+            );
+            assert!(shift.distance(pose.translation - own.translation) < 1e-9, "{secs}");
+        }
+        for (secs, x) in [
+            (-0.15, -2.0),
+            (-0.05, -0.5),
+            (0.025, 0.5),
+            (0.075, 2.0),
+            (-0.3, -5.0),
+            (0.15, 5.0),
+        ] {
+            assert!((sweep.relative_at(secs).1.x - x).abs() < 1e-9, "{secs}");
+        }
+        assert_eq!(sweep.knots().collect::<Vec<_>>(), [-0.1, 0.0, 0.05]);
+        let still = Sweep::new(own, &[]);
+        assert_eq!((still.at(9.0), still.knots().count()), (own, 0));
+    }
+
+    #[test]
+    fn a_scan_without_a_pose_has_no_place() {
+        let scan = Scan {
+            name: "a.pcd".into(),
+            points: vec![Vec3::X],
+            ..Default::default()
+        };
+        assert_eq!(scan.check(), Ok(()));
+        let told = scan.points_in_world().err().map(|e| e.to_string());
+        assert_eq!(
+            told.as_deref(),
+            Some("a.pcd: has no pose, so it cannot be placed in the world")
+        );
+        assert!(scan.poses().is_err() && scan.sweep().is_none());
+    }
+
+    #[test]
+    fn times_of_poses_must_ascend() {
+        let of = |secs: &[f64]| Scan {
+            motion: secs
+                .iter()
+                .map(|&secs| PoseAt {
+                    secs,
+                    pose: Pose::IDENTITY,
+                })
+                .collect(),
+            ..Default::default()
+        };
+        assert_eq!(of(&[-0.1, 0.1, 0.2]).check(), Ok(()));
+        for wrong in [&[0.0][..], &[f64::NAN], &[f64::INFINITY], &[0.2, 0.1], &[0.1, 0.1]] {
+            assert!(matches!(of(wrong).check(), Err(ScanError::Motion { .. })), "{wrong:?}");
+        }
     }
 }

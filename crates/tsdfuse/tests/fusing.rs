@@ -34,9 +34,9 @@ fn literal(scans: &[Scan], distance: Distance) -> Voxels {
     } = MapConfig::default();
     let mut sums = Voxels::new();
     for scan in scans {
-        let o = scan.pose.translation;
+        let o = scan.pose.unwrap().translation;
         for &point in &scan.points {
-            let p = scan.pose.transform_point(point.as_dvec3());
+            let p = scan.pose.unwrap().transform_point(point.as_dvec3());
             let r = (p - o).normalize();
             let center = (p / k).floor().as_ivec3();
             for (z, y, x) in (-6..=6).flat_map(|z| (-6..=6).flat_map(move |y| (-6..=6).map(move |x| (z, y, x)))) {
@@ -134,7 +134,8 @@ fn the_map_moves_with_the_data() {
     let shift = DVec3::new(500_000.0, 5_400_000.0, 300.0);
     let near: Vec<_> = (0..3).map(|n| scan(n, 5000)).collect();
     let mut far = near.clone();
-    far.iter_mut().for_each(|s| s.pose.translation += shift);
+    far.iter_mut()
+        .for_each(|s| s.pose.as_mut().unwrap().translation += shift);
     for form in FORMS {
         let (here, there) = (
             mesh::extract(&fuse(&near, form)).unwrap(),
@@ -179,6 +180,7 @@ fn the_weight_is_limited_and_the_map_follows() {
     .unwrap();
     let wall = |x: f32| Scan {
         points: vec![Vec3::new(x, 0.025, 0.025)],
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     };
     let mut method = Raycast::new(RaycastConfig {
@@ -225,6 +227,7 @@ fn hostile_returns_are_skipped_and_counted() {
                 &mut map,
                 &Scan {
                     points: bad.to_vec(),
+                    pose: Some(Pose::IDENTITY),
                     ..Default::default()
                 },
             )
@@ -234,10 +237,10 @@ fn hostile_returns_are_skipped_and_counted() {
         let lost = Scan {
             name: "lost".into(),
             points: vec![Vec3::X],
-            pose: Pose {
+            pose: Some(Pose {
                 translation: DVec3::splat(1e12),
                 ..Pose::IDENTITY
-            },
+            }),
             ..Default::default()
         };
         let error = method.integrate(&mut map, &lost).unwrap_err().to_string();
@@ -252,8 +255,8 @@ fn motion_within_the_sweep_is_undone() {
         rotation: DQuat::from_rotation_z(0.1),
         translation: DVec3::new(1.0, 0.0, 0.0),
     };
-    let motion = tsdfuse::scan::Motion { pose: end, secs: 0.1 };
-    let trajectory = tsdfuse::scan::Trajectory::new(Pose::IDENTITY, &motion);
+    let motion = tsdfuse::scan::PoseAt { pose: end, secs: 0.1 };
+    let trajectory = tsdfuse::scan::Sweep::new(Pose::IDENTITY, &[motion]);
     let times: Vec<f32> = (0..2000).map(|i| i as f32 * 0.1 / 2000.0).collect();
     let points = times.iter().enumerate().map(|(i, &t)| {
         let wall = DVec3::new(5.0, (i % 50) as f64 * 0.02, (i / 50) as f64 * 0.02);
@@ -262,7 +265,8 @@ fn motion_within_the_sweep_is_undone() {
     let moving = Scan {
         points: points.collect(),
         times: Some(times.clone()),
-        motion: Some(motion),
+        pose: Some(Pose::IDENTITY),
+        motion: vec![motion],
         ..Default::default()
     };
     let off = |scan: &Scan| {
@@ -272,7 +276,10 @@ fn motion_within_the_sweep_is_undone() {
     };
     assert!(off(&moving) < 0.002, "{}", off(&moving));
     assert!(
-        off(&Scan { motion: None, ..moving }) > 0.1,
+        off(&Scan {
+            motion: vec![],
+            ..moving
+        }) > 0.1,
         "without motion the wall must be smeared"
     );
 }

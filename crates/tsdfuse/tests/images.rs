@@ -12,7 +12,7 @@ use tsdfuse::{
     fuse::{Caminal, CaminalConfig, Cylindrical, Depth, Kuehner, KuehnerConfig},
     glam::{DVec3, IVec3, Vec3},
     index::{BlockIndex, voxel_at},
-    scan::Motion,
+    scan::PoseAt,
     sensor::Pinhole,
 };
 
@@ -38,8 +38,8 @@ fn frame(number: usize) -> Scan {
     let room = scan(number, 1);
     let points = (0..CAMERA.pixels()).filter(|i| i % 11 != 3).map(|i| {
         let ray = CAMERA.ray((i % 72) as f32, (i / 72) as f32);
-        let in_world = room.pose.rotation * ray.as_dvec3();
-        let depth = range(room.pose.translation, in_world);
+        let in_world = room.pose.unwrap().rotation * ray.as_dvec3();
+        let depth = range(room.pose.unwrap().translation, in_world);
         ray * (depth + 0.02 * ((i * 7919) % 1000) as f64 / 1000.0) as f32
     });
     Scan {
@@ -141,7 +141,7 @@ fn seen(frame: &Scan) -> Vec<Seen> {
     }
     vec![Seen {
         camera,
-        pose: frame.pose,
+        pose: frame.pose.unwrap(),
         depths,
     }]
 }
@@ -166,15 +166,15 @@ const COLUMNS: usize = 150;
 
 /// A sweep of [`lidar`] in the room, columns turned by a third, every 13th return missing, the sensor moving if `moving`.
 fn sweep(number: usize, moving: bool) -> Scan {
-    let start = scan(number, 1).pose;
+    let start = scan(number, 1).pose.unwrap();
     let end = Pose {
         translation: start.translation + DVec3::new(0.1, -0.05, 0.02),
-        ..scan(number + 1, 1).pose
+        ..scan(number + 1, 1).pose.unwrap()
     };
-    let motion = moving.then_some(Motion { pose: end, secs: 0.1 });
+    let motion = moving.then_some(PoseAt { pose: end, secs: 0.1 });
     let mut sweep = Scan {
-        pose: start,
-        motion,
+        pose: Some(start),
+        motion: motion.into_iter().collect(),
         times: moving.then(Vec::new),
         rings: Some(Vec::new()),
         ..Default::default()
@@ -183,7 +183,7 @@ fn sweep(number: usize, moving: bool) -> Scan {
     for column in 0..COLUMNS {
         let azimuth = -std::f64::consts::TAU * (column as f64 + 0.33) / COLUMNS as f64;
         let secs = 0.1 * column as f64 / COLUMNS as f64;
-        let pose = motion.map_or(start, |motion| tsdfuse::scan::Trajectory::new(start, &motion).at(secs));
+        let pose = motion.map_or(start, |motion| tsdfuse::scan::Sweep::new(start, &[motion]).at(secs));
         for (ring, elevation) in elevations
             .iter()
             .enumerate()
@@ -270,10 +270,10 @@ fn literal_cylindrical(sweeps: &[Scan]) -> Voxels {
             }
         }
         for ((row, column), (depth, i)) in image {
-            let trajectory = sweep
-                .motion
-                .map(|motion| tsdfuse::scan::Trajectory::new(sweep.pose, &motion));
-            let pose = trajectory.map_or(sweep.pose, |t| t.at(f64::from(sweep.times.as_ref().unwrap()[i])));
+            let trajectory = sweep.sweep();
+            let pose = trajectory.as_ref().map_or(sweep.pose.unwrap(), |t| {
+                t.at(f64::from(sweep.times.as_ref().unwrap()[i]))
+            });
             let (o, p) = (
                 pose.translation,
                 pose.transform_point(pixels.center(row, column, depth)),
@@ -354,13 +354,17 @@ fn literal_kuehner(sweeps: &[Scan], max_gap_deg: f64) -> Voxels {
         };
         let margin = half(1, 0).max(half(13, 12)).ceil() as usize;
         let pixels = Pixels::new(margin, phase(sweep), literal_center_of_projection(sweep));
-        let trajectory = sweep
-            .motion
-            .map(|motion| tsdfuse::scan::Trajectory::new(sweep.pose, &motion));
+        let trajectory = sweep.sweep();
         let mut measured = vec![vec![None::<(f64, usize)>; pixels.rows]; COLUMNS];
         for (i, p) in sweep.points.iter().enumerate() {
-            let at = trajectory.map_or(sweep.pose, |t| t.at(f64::from(sweep.times.as_ref().unwrap()[i])));
-            let p = sweep.pose.inverse().transform_point(at.transform_point(p.as_dvec3()));
+            let at = trajectory.as_ref().map_or(sweep.pose.unwrap(), |t| {
+                t.at(f64::from(sweep.times.as_ref().unwrap()[i]))
+            });
+            let p = sweep
+                .pose
+                .unwrap()
+                .inverse()
+                .transform_point(at.transform_point(p.as_dvec3()));
             if let Some((row, column, depth)) = pixels.of(p) {
                 let pixel = &mut measured[column][row];
                 if pixel.is_none_or(|(holder, _)| depth < holder) {
@@ -389,6 +393,7 @@ fn literal_kuehner(sweeps: &[Scan], max_gap_deg: f64) -> Voxels {
         {
             let v = sweep
                 .pose
+                .unwrap()
                 .inverse()
                 .transform_point((IVec3::new(x, y, z).as_dvec3() + 0.5) * k);
             let Some((row, column, depth)) = pixels.of(v) else {
@@ -484,18 +489,18 @@ fn mean_about(image: &[f64], width: i32, pixel: i32) -> f64 {
 fn literal_views(sweep: &Scan) -> Vec<Seen> {
     let camera = virtual_camera();
     let rounds = (6_f64.to_radians() * f64::from(camera.fx)).ceil() as usize;
-    let trajectory = sweep
-        .motion
-        .map(|motion| tsdfuse::scan::Trajectory::new(sweep.pose, &motion));
+    let trajectory = sweep.sweep();
     let looking = |k: i32| {
         let turned = tsdfuse::glam::DQuat::from_rotation_z(-f64::from(k) * std::f64::consts::FRAC_PI_2);
         let pose = Pose {
-            rotation: sweep.pose.rotation * turned,
-            ..sweep.pose
+            rotation: sweep.pose.unwrap().rotation * turned,
+            ..sweep.pose.unwrap()
         };
         let mut depths = vec![0.0; camera.pixels()];
         for (i, p) in sweep.points.iter().enumerate() {
-            let at = trajectory.map_or(sweep.pose, |t| t.at(f64::from(sweep.times.as_ref().unwrap()[i])));
+            let at = trajectory.as_ref().map_or(sweep.pose.unwrap(), |t| {
+                t.at(f64::from(sweep.times.as_ref().unwrap()[i]))
+            });
             let p = pose
                 .inverse()
                 .transform_point(at.transform_point(p.as_dvec3()))

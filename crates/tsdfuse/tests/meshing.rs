@@ -61,8 +61,8 @@ impl Viewer {
 /// A wall that comes nearer, while the sensor moves sideways along it.
 fn moving_wall(number: usize) -> Scan {
     let (n, mut scan) = (number as f64, common::scan(0, 0));
-    scan.pose.rotation = Default::default();
-    scan.pose.translation = DVec3::new(0.01 * n, 0.15 * n, -0.02 * n);
+    scan.pose.as_mut().unwrap().rotation = Default::default();
+    scan.pose.as_mut().unwrap().translation = DVec3::new(0.01 * n, 0.15 * n, -0.02 * n);
     let grid = (-25..=25).flat_map(|y| (-25..=25).map(move |z| (0.03 * f64::from(y), 0.03 * f64::from(z))));
     scan.points = grid
         .map(|(y, z)| Vec3::new((2.0 - 0.04 * n + 0.1 * y) as f32, y as f32, z as f32))

@@ -9,7 +9,7 @@ use tsdfuse::{
     fuse::{FuseError, Patch, PatchConfig},
     glam::{DQuat, DVec3, IVec3, Vec3},
     mesh,
-    scan::Motion,
+    scan::PoseAt,
 };
 
 /// Sixteen lasers, as a VLP-16.
@@ -27,21 +27,21 @@ fn scan(position: DVec3, boxes: &[(DVec3, DVec3)]) -> Scan {
 }
 
 /// The same of a sensor that moves while it turns once in 0.1 s: `pose` is in the middle of this.
-fn sweep(pose: Pose, motion: Option<Motion>, boxes: &[(DVec3, DVec3)]) -> Scan {
+fn sweep(pose: Pose, motion: Option<PoseAt>, boxes: &[(DVec3, DVec3)]) -> Scan {
     let sensor = sensor();
     let (mut rings, mut times) = (Vec::new(), Vec::new());
     let mut scan = Scan {
-        pose,
-        motion,
+        pose: Some(pose),
+        motion: motion.into_iter().collect(),
         times: Some(Vec::new()),
         ..Default::default()
     };
-    let trajectory = scan.trajectory();
+    let trajectory = scan.sweep();
     for (ring, elevation) in sensor.elevations_deg.iter().enumerate() {
         for column in 0..sensor.columns {
             let turn = (f64::from(column) + 0.5) / f64::from(sensor.columns);
             let (azimuth, secs) = (-std::f64::consts::TAU * turn, 0.1 * (turn - 0.5));
-            let world_from_sensor = trajectory.map_or(pose, |trajectory| trajectory.at(secs));
+            let world_from_sensor = trajectory.as_ref().map_or(pose, |trajectory| trajectory.at(secs));
             let position = world_from_sensor.translation;
             let (sin_e, cos_e) = f64::from(*elevation).to_radians().sin_cos();
             let in_sensor = DVec3::new(cos_e * azimuth.cos(), cos_e * azimuth.sin(), sin_e);
@@ -163,7 +163,7 @@ fn assert_erases_what_moved_on(moved: Option<Pose>) {
             translation: DVec3::new(0.2 * f64::from(k), 0.0, 1.8),
             ..Pose::IDENTITY
         };
-        let motion = moved.map(|moved| Motion {
+        let motion = moved.map(|moved| PoseAt {
             pose: pose * moved,
             secs: 0.1,
         });
@@ -234,7 +234,10 @@ fn blocks_that_changed_are_told_once() {
 /// second ring.
 fn rough_wall() -> Scan {
     let sensor = sensor();
-    let mut scan = Scan::default();
+    let mut scan = Scan {
+        pose: Some(Pose::IDENTITY),
+        ..Default::default()
+    };
     let mut rings = Vec::new();
     for (ring, elevation) in sensor.elevations_deg.iter().enumerate() {
         for column in 0..sensor.columns {
@@ -350,7 +353,7 @@ fn a_shifted_world_has_a_shifted_map() {
         .iter()
         .map(|scan| {
             let mut scan = scan.clone();
-            scan.pose.translation += DVec3::new(409_600.0, -819_200.0, 102.4);
+            scan.pose.as_mut().unwrap().translation += DVec3::new(409_600.0, -819_200.0, 102.4);
             scan
         })
         .collect();
@@ -371,19 +374,25 @@ fn hostile_scans_and_options_are_refused_or_counted() {
     let mut patch = Patch::new(PatchConfig::default(), None);
     let odd = Scan {
         points: vec![Vec3::NAN, Vec3::ZERO, Vec3::INFINITY, Vec3::splat(f32::MAX), Vec3::X],
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     };
     let done = patch.integrate(&mut map, &odd).unwrap();
     assert_eq!((done.fused_returns, done.skipped.outside_grid), (1, 4));
     let none = Scan {
         points: vec![Vec3::NAN; 3],
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     };
     assert!(matches!(
         patch.integrate(&mut map, &none),
         Err(FuseError::Unorganized { .. })
     ));
-    assert_eq!(patch.integrate(&mut map, &Scan::default()).unwrap().fused_returns, 0);
+    let empty = Scan {
+        pose: Some(Pose::IDENTITY),
+        ..Default::default()
+    };
+    assert_eq!(patch.integrate(&mut map, &empty).unwrap().fused_returns, 0);
     for (name, config) in [
         (
             "window_m",

@@ -16,7 +16,7 @@ use tsdfuse::{
     Integration, Integrator, MapConfig, Pose, Roldao, Scan, VoxelMap,
     fuse::{RoldaoConfig, RoldaoForm as Form},
     glam::{DMat3, DQuat, DVec3, IVec3, Vec3},
-    scan::Motion,
+    scan::PoseAt,
 };
 
 const FORMS: [Form; 2] = [Form::Streaming, Form::Batch];
@@ -55,12 +55,12 @@ fn moving(number: usize, rays: usize) -> Scan {
     let still = scan(number, rays);
     let turn = DQuat::from_rotation_z(0.1) * DQuat::from_rotation_x(0.05);
     let pose = Pose {
-        rotation: still.pose.rotation * turn,
-        translation: still.pose.translation + DVec3::new(0.4, -0.2, 0.1),
+        rotation: still.pose.unwrap().rotation * turn,
+        translation: still.pose.unwrap().translation + DVec3::new(0.4, -0.2, 0.1),
     };
     Scan {
         times: Some((0..rays).map(|i| 0.1 * i as f32 / rays as f32).collect()),
-        motion: Some(Motion { pose, secs: 0.1 }),
+        motion: vec![PoseAt { pose, secs: 0.1 }],
         ..still
     }
 }
@@ -91,8 +91,12 @@ fn eigen(mut m: DMat3) -> [(f64, DVec3); 3] {
 fn literal(scans: &[Scan], config: RoldaoConfig) -> Voxels {
     let (k, mu) = (MAP.voxel_size_m, MAP.truncation_m);
     let placed = |scan: &Scan| -> Vec<(IVec3, DVec3, DVec3)> {
-        let trajectory = scan.trajectory();
-        let pose = |i: usize| trajectory.map_or(scan.pose, |t| t.at(f64::from(scan.times.as_ref().unwrap()[i])));
+        let trajectory = scan.sweep();
+        let pose = |i: usize| {
+            trajectory
+                .as_ref()
+                .map_or(scan.pose.unwrap(), |t| t.at(f64::from(scan.times.as_ref().unwrap()[i])))
+        };
         let points = scan.points.iter().enumerate().map(|(i, p)| {
             let p = pose(i).transform_point(p.as_dvec3());
             // The cell's corners are the voxels' centres.
@@ -244,7 +248,7 @@ fn the_map_moves_with_the_data() {
     let near = [scan(0, 2000), moving(1, 2000)];
     let mut far = near.clone();
     for scan in &mut far {
-        scan.pose.translation += shift;
+        scan.pose.as_mut().unwrap().translation += shift;
         scan.motion.iter_mut().for_each(|m| m.pose.translation += shift);
     }
     let voxels = (shift / MAP.voxel_size_m).as_ivec3();
@@ -282,10 +286,10 @@ fn hostile_returns_are_skipped_and_counted() {
         let lost = Scan {
             name: "lost".into(),
             points: vec![Vec3::X],
-            pose: Pose {
+            pose: Some(Pose {
                 translation: DVec3::splat(1e12),
                 ..Pose::IDENTITY
-            },
+            }),
             ..Default::default()
         };
         let error = Roldao::new(config(form)).integrate(&mut VoxelMap::new(MAP).unwrap(), &lost);
@@ -302,6 +306,7 @@ fn points_on_a_line_or_in_a_heap_make_no_plane() {
         for form in FORMS {
             let scan = Scan {
                 points: points.clone(),
+                pose: Some(Pose::IDENTITY),
                 ..Default::default()
             };
             assert_eq!(fuse(&[scan], form).block_count(), 0);
@@ -325,7 +330,7 @@ fn a_sensor_on_the_floor_sees_the_floor_from_above() {
     };
     let scan = Scan {
         points,
-        pose,
+        pose: Some(pose),
         ..Default::default()
     };
     for form in FORMS {

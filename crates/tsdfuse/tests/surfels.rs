@@ -12,7 +12,7 @@ use tsdfuse::{
     fuse::Skipped,
     glam::{DMat3, DQuat, DVec3, EulerRot, IVec3, Vec3},
     mesh,
-    scan::{Motion, RangeLimits},
+    scan::{PoseAt, RangeLimits},
     surfel::{SurfelConfig, SurfelMap},
 };
 
@@ -36,12 +36,12 @@ fn scan(number: u64, rays: u64, moving: bool) -> Scan {
         rotation: pose.rotation * DQuat::from_rotation_z(0.3),
         translation: pose.translation + DVec3::new(0.4, -0.3, 0.2),
     };
-    let motion = moving.then_some(Motion { pose: later, secs: 0.1 });
+    let motion = moving.then_some(PoseAt { pose: later, secs: 0.1 });
     let room = pose_at(10).rotation;
     let half = DVec3::new(2.5, 2.0, 1.4);
     let times: Vec<f32> = (0..rays).map(|i| 0.1 * i as f32 / rays as f32).collect();
     let points = times.iter().zip(0_u64..).map(|(&secs, i)| {
-        let sensor = motion.map_or(pose, |m| tsdfuse::scan::Trajectory::new(pose, &m).at(secs.into()));
+        let sensor = motion.map_or(pose, |m| tsdfuse::scan::Sweep::new(pose, &[m]).at(secs.into()));
         let any = |k| random(100 + 4 * i + k);
         let direction = DVec3::new(any(0) - 0.5, any(1) - 0.5, any(2) - 0.5).normalize();
         let (start, along) = (
@@ -55,8 +55,8 @@ fn scan(number: u64, rays: u64, moving: bool) -> Scan {
         name: format!("scan {number}"),
         points: points.collect(),
         times: moving.then(|| times.clone()),
-        pose,
-        motion,
+        pose: Some(pose),
+        motion: motion.into_iter().collect(),
         ..Default::default()
     }
 }
@@ -135,12 +135,12 @@ fn literal(scans: &[Scan], config: SurfelConfig, max_range_m: f64) -> (Voxels, u
     let mut sums = Voxels::new();
     let mut too_few = 0;
     for scan in scans {
-        let home = scan.pose.translation;
+        let home = scan.pose.unwrap().translation;
         let placed: Vec<(DVec3, DVec3)> = (scan.points.iter().enumerate())
             .map(|(i, p)| {
                 let sensor = scan
-                    .trajectory()
-                    .map_or(scan.pose, |t| t.at(scan.times.as_ref().unwrap()[i].into()));
+                    .sweep()
+                    .map_or(scan.pose.unwrap(), |t| t.at(scan.times.as_ref().unwrap()[i].into()));
                 (sensor.transform_point(p.as_dvec3()), sensor.translation)
             })
             .collect();
@@ -167,7 +167,7 @@ fn literal(scans: &[Scan], config: SurfelConfig, max_range_m: f64) -> (Voxels, u
             let o = cell.iter().map(|c| c.1).sum::<DVec3>() / points.len() as f64;
             let (n, most) = least_and_most(&points, c);
             let mut n = if n.dot(o - c) < 0.0 { -n } else { n };
-            let in_sensor = |v: DVec3| scan.pose.rotation.inverse() * v;
+            let in_sensor = |v: DVec3| scan.pose.unwrap().rotation.inverse() * v;
             if config.ground_flip && in_sensor(c - o).z < 0.0 && in_sensor(n).z < 0.0 {
                 n = -n;
             }
@@ -221,7 +221,7 @@ fn surfels_are_what_their_formulas_say() {
             let heavier = fast.iter().map(|(v, (w, f))| (*v, (w * 1.01, *f))).collect();
             assert!(differing(&heavier, &slow) > 0.9);
             let still = |scan: &Scan| Scan {
-                motion: None,
+                motion: vec![],
                 ..scan.clone()
             };
             let others = [
@@ -283,7 +283,7 @@ fn the_map_moves_with_the_data() {
     let shift = DVec3::new(500_000.0, 5_400_000.0, 300.0); // a multiple of the block's edge; UTM-sized
     let near = [scan(0, 3000, false), scan(1, 3000, true)];
     let far = near.clone().map(|mut s| {
-        s.pose.translation += shift;
+        s.pose.as_mut().unwrap().translation += shift;
         s.motion.iter_mut().for_each(|m| m.pose.translation += shift);
         s
     });
@@ -330,6 +330,7 @@ fn hostile_returns_are_skipped_and_counted() {
         let mut method = Surfels::new(SurfelConfig::default(), None);
         let scan = Scan {
             points,
+            pose: Some(Pose::IDENTITY),
             ..Default::default()
         };
         let done = method.integrate(&mut map, &scan).unwrap();
@@ -354,7 +355,10 @@ fn hostile_returns_are_skipped_and_counted() {
     assert!(map == fuse(&[scan(1, 1500, false)], config()).0);
     // Many returns at the same place are a surfel without size; nothing happens, nothing fails.
     assert_eq!(run(vec![Vec3::new(1.01, 1.02, 1.03); 1000]).2, 0);
-    let empty = Scan::default();
+    let empty = Scan {
+        pose: Some(Pose::IDENTITY),
+        ..Default::default()
+    };
     let done = Surfels::default()
         .integrate(&mut VoxelMap::new(MAP).unwrap(), &empty)
         .unwrap();
@@ -362,10 +366,10 @@ fn hostile_returns_are_skipped_and_counted() {
     let lost = Scan {
         name: "lost".into(),
         points: vec![Vec3::X],
-        pose: Pose {
+        pose: Some(Pose {
             translation: DVec3::splat(1e12),
             ..Pose::IDENTITY
-        },
+        }),
         ..Default::default()
     };
     let error = Surfels::default()
@@ -475,6 +479,7 @@ fn wall(rings: u32) -> Scan {
     });
     Scan {
         points: points.collect(),
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     }
 }

@@ -1,7 +1,7 @@
 use std::f64::consts::PI;
 
 use tsdfuse::glam::{DVec3, Vec3};
-use tsdfuse::scan::{Motion, RangeLimits};
+use tsdfuse::scan::{PoseAt, RangeLimits};
 use tsdfuse::{Integrator, MapConfig, Pose, Raycast, VoxelMap};
 use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
 
@@ -16,6 +16,7 @@ fn wall(x: f32) -> impl Iterator<Item = Vec3> {
 fn scan(points: impl Iterator<Item = Vec3>) -> Scan {
     Scan {
         points: points.collect(),
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     }
 }
@@ -30,7 +31,9 @@ fn map_of(scans: &[Scan]) -> VoxelMap {
 
 fn held_out(map: &VoxelMap, scan: &Scan) -> HeldOut {
     let mut collector = Collector::new(0.2);
-    collector.add(&Renderer::new(map, &Default::default()).unwrap(), scan);
+    collector
+        .add(&Renderer::new(map, &Default::default()).unwrap(), scan)
+        .unwrap();
     collector.result().unwrap()
 }
 
@@ -89,7 +92,7 @@ fn a_map_that_is_off_shows_by_how_much() {
     let map = map_of(&[scan(wall(4.0))]);
     for shift_m in [0.0, 0.1, -0.1] {
         let mut moved = scan(wall(4.0));
-        moved.pose.translation.x = shift_m;
+        moved.pose.as_mut().unwrap().translation.x = shift_m;
         let result = held_out(&map, &moved);
         // The borders of the wall are seen past.
         assert!(
@@ -132,13 +135,14 @@ fn each_return_is_looked_for_from_where_the_sensor_was() {
     let mut moving = Scan {
         points,
         times: Some(times),
-        motion: Some(Motion {
+        pose: Some(Pose::IDENTITY),
+        motion: vec![PoseAt {
             pose: Pose {
                 translation: DVec3::X,
                 ..Pose::IDENTITY
             },
             secs: 0.1,
-        }),
+        }],
         ..Default::default()
     };
     let result = held_out(&map, &moving);
@@ -146,7 +150,7 @@ fn each_return_is_looked_for_from_where_the_sensor_was() {
         result.hit_rate > 0.9 && result.error.unwrap().median_m < 0.012,
         "{result:?}"
     );
-    moving.motion = None;
+    moving.motion.clear();
     let still = held_out(&map, &moving);
     assert!(still.hit_rate < 0.3, "{still:?}");
 }

@@ -5,7 +5,7 @@ use tsdfuse::{
     fuse::{Distance, FuseConfig, FuseError, Method, RaycastConfig},
     glam::{DQuat, DVec3, Vec3},
     index::BlockIndex,
-    scan::Motion,
+    scan::PoseAt,
     sensor::Pinhole,
 };
 use tsdfuse_gpu::{DeviceMap, Fused, Fuser, Gpu, GpuError, PoolConfig};
@@ -66,8 +66,8 @@ fn moving_scans(count: usize) -> Vec<Scan> {
     let moving = |n: usize| {
         let still = scan(n, 4000);
         let pose = Pose {
-            rotation: still.pose.rotation * DQuat::from_rotation_z(0.15) * DQuat::from_rotation_x(-0.05),
-            translation: still.pose.translation + DVec3::new(0.3, -0.1, 0.05),
+            rotation: still.pose.unwrap().rotation * DQuat::from_rotation_z(0.15) * DQuat::from_rotation_x(-0.05),
+            translation: still.pose.unwrap().translation + DVec3::new(0.3, -0.1, 0.05),
         };
         let mut times: Vec<f32> = (0..4000).map(|i| -0.02 + 0.12 * i as f32 / 4000.0).collect();
         times.extend([0.0, f32::NAN]);
@@ -76,7 +76,7 @@ fn moving_scans(count: usize) -> Vec<Scan> {
         Scan {
             points,
             times: Some(times),
-            motion: Some(Motion { pose, secs: 0.1 }),
+            motion: vec![PoseAt { pose, secs: 0.1 }],
             ..still
         }
     };
@@ -137,7 +137,7 @@ fn both_forms_of_raycasting_agree_with_the_cpu() {
 fn far_from_the_origin_and_with_other_voxels() {
     let Some(gpu) = gpu() else { return };
     let mut far = scan(2, 3000);
-    far.pose.translation += DVec3::new(465_432.1, 5_512_345.6, -123.4);
+    far.pose.as_mut().unwrap().translation += DVec3::new(465_432.1, 5_512_345.6, -123.4);
     let config = FuseConfig::default();
     for truncation_m in [0.021, 0.1, 0.6] {
         let map = MapConfig {
@@ -328,6 +328,7 @@ fn a_crowd_of_returns_in_one_voxel_overflows_nothing() {
     let crowd = Scan {
         name: "crowd".into(),
         points: vec![Vec3::new(0.8, 0.01, 0.01); 150_000],
+        pose: Some(tsdfuse::Pose::IDENTITY),
         ..Default::default()
     };
     let config = FuseConfig::default();
@@ -351,10 +352,10 @@ fn a_scan_that_cannot_be_fused_changes_nothing_and_others_follow() {
     let good = scan(0, 1000);
     let mut fuser = Fuser::new(new_map(gpu, SMALL), Method::Raycast, &FuseConfig::default(), None).unwrap();
     let outside = Scan {
-        pose: Pose {
+        pose: Some(Pose {
             translation: DVec3::splat(1e12),
             ..Default::default()
-        },
+        }),
         ..good.clone()
     };
     let torn = Scan {
@@ -440,11 +441,7 @@ pub(crate) fn sweeps(count: usize) -> (Vec<Scan>, SensorModel) {
 fn methods_that_know_the_beams_agree_with_the_cpu() {
     let Some(gpu) = gpu() else { return };
     let (scans, sensor) = sweeps(3);
-    assert!(
-        scans
-            .iter()
-            .all(|s| s.points.len() > 10_000 && s.trajectory().is_some())
-    );
+    assert!(scans.iter().all(|s| s.points.len() > 10_000 && s.sweep().is_some()));
     for method in [Method::Normals, Method::Cylindrical] {
         let config = FuseConfig::default();
         let (want, cpu) = on_cpu(&scans, method, &config, MapConfig::default(), Some(&sensor));
@@ -494,7 +491,7 @@ fn images(count: usize) -> Vec<Scan> {
     let camera = Pinhole::with_fov(80, 60, 1.1);
     let half = DVec3::new(3.0, 2.5, 1.5);
     let image = |n: usize| {
-        let pose = scan(n, 1).pose;
+        let pose = scan(n, 1).pose.unwrap();
         let pixels = (0..camera.pixels()).filter(|i| i % 17 != 0);
         let points = pixels.map(|i| {
             let ray = camera.ray((i % 80) as f32, (i / 80) as f32);
@@ -510,7 +507,7 @@ fn images(count: usize) -> Vec<Scan> {
         Scan {
             name: format!("image {n}"),
             points: outside.into_iter().chain(hidden).chain(points).collect(),
-            pose,
+            pose: Some(pose),
             camera: Some(camera),
             ..Default::default()
         }

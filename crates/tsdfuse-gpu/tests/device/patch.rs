@@ -4,7 +4,7 @@ use tsdfuse::{
     MapConfig, Pose, Scan, SensorModel, VoxelMap,
     fuse::{FuseConfig, Method, PatchConfig},
     glam::{DQuat, DVec3, Vec3},
-    scan::Motion,
+    scan::PoseAt,
     sensor::{Pixel, Projection},
 };
 use tsdfuse_gpu::{DeviceMap, Fuser, PoolConfig};
@@ -71,21 +71,24 @@ fn room_scan(number: usize, has_screen: bool, moved: Option<Pose>) -> (Scan, Sen
     };
     let mut scan = Scan {
         name: format!("room {number}"),
-        pose,
-        motion: moved.map(|moved| Motion {
-            pose: pose * moved,
-            secs: 0.1,
-        }),
+        pose: Some(pose),
+        motion: moved
+            .map(|moved| PoseAt {
+                pose: pose * moved,
+                secs: 0.1,
+            })
+            .into_iter()
+            .collect(),
         times: Some(Vec::new()),
         ..Default::default()
     };
-    let trajectory = scan.trajectory();
+    let trajectory = scan.sweep();
     let cells = (0..24 * 480).filter(|i| i % 23 != 5);
     let point = |i: usize| {
         let (row, column) = ((i % 24) as f64, (i / 24) as f64);
         // It begins on its right, so that what is ahead comes late.
         let secs = 0.1 * (column / 480.0 + 0.75).fract();
-        let world_from_sensor = trajectory.map_or(pose, |trajectory| trajectory.at(secs));
+        let world_from_sensor = trajectory.as_ref().map_or(pose, |trajectory| trajectory.at(secs));
         let position = world_from_sensor.translation;
         let direction = projection.direction(Pixel { row, column });
         let ray = world_from_sensor.rotation * direction;
@@ -209,9 +212,15 @@ fn empty_scans_and_invalid_returns_do_no_harm() {
         name: "nowhere".into(),
         points: vec![Vec3::NAN; 9],
         rings: Some(vec![0; 9]),
+        pose: Some(tsdfuse::Pose::IDENTITY),
         ..Default::default()
     };
-    scans.extend([Scan::default(), nowhere]);
+    let empty = Scan {
+        points: vec![],
+        ..nowhere.clone()
+    };
+    let empty = Scan { rings: None, ..empty };
+    scans.extend([empty, nowhere]);
     let mut fuser = Fuser::new(new_map(gpu, POOL), Method::Patch, &FuseConfig::default(), Some(&sensor)).unwrap();
     let mut done = Vec::new();
     for scan in &scans {

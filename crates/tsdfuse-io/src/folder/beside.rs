@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use tsdfuse::SensorModel;
-use tsdfuse::scan::Motion;
+use tsdfuse::scan::PoseAt;
 
 use crate::dataset::OpenOptions;
 use crate::error::{Error, Result};
@@ -11,24 +11,29 @@ use crate::files::{self, ScanFile};
 use crate::poses::{self, Poses};
 use crate::{calib, text};
 
-/// The motion of each scan, where the file is there.
-pub(super) fn motions(path: &Path, files: &[ScanFile]) -> Result<Vec<Option<Motion>>> {
+/// The motion of each scan, where the file is there and says so.
+pub(super) fn motions(path: &Path, files: &[ScanFile]) -> Result<Vec<Vec<PoseAt>>> {
     if !path.is_file() {
-        return Ok(vec![None; files.len()]);
+        return Ok(vec![Vec::new(); files.len()]);
     }
     let bytes = files::read(path)?;
     let rows: Result<Vec<_>> = text::lines(path, &bytes)?
         .map(|line| {
             if line.text == "-" {
-                return Ok(None);
+                return Ok(Vec::new());
             }
-            match line.numbers()?.split_first() {
-                Some((&secs, pose)) if secs.is_finite() && secs != 0.0 => Ok(Some(Motion {
-                    pose: poses::matrix(&line, pose)?,
-                    secs,
-                })),
-                _ => Err(line.error("the seconds to the second pose are zero or not finite")),
+            let mut motion: Vec<PoseAt> = Vec::new();
+            for numbers in line.numbers()?.chunks(1 + 12) {
+                let (secs, pose) = match numbers.split_first() {
+                    Some((&secs, pose)) if secs.is_finite() && secs != 0.0 => (secs, poses::matrix(&line, pose)?),
+                    _ => return Err(line.error("the seconds to a pose are zero or not finite")),
+                };
+                if motion.last().is_some_and(|last| last.secs >= secs) {
+                    return Err(line.error(format!("the pose at {secs} s is not later than the one before")));
+                }
+                motion.push(PoseAt { secs, pose });
             }
+            Ok(motion)
         })
         .collect();
     poses::rows_of_scans(path, "lines", &rows?, files)

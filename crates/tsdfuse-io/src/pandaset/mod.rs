@@ -20,7 +20,8 @@ mod tests;
 
 use std::path::{Path, PathBuf};
 
-use tsdfuse::scan::Motion;
+use tsdfuse::scan::PoseAt;
+use tsdfuse::trajectory::ns_after;
 use tsdfuse::{Pose, Scan, SensorModel};
 
 use crate::dataset::{OpenOptions, ScanRef, Source};
@@ -49,7 +50,7 @@ struct Sweep {
     pose: Pose,
     /// Seconds of the frame.
     secs: Option<f64>,
-    motion: Option<Motion>,
+    motion: Option<PoseAt>,
 }
 
 impl PandaSet {
@@ -89,7 +90,7 @@ impl PandaSet {
             };
             let motion = frames.neighbour(number).and_then(|(other, secs)| {
                 let pose = world_from_sensor(other)?;
-                Some(Motion { pose, secs })
+                Some(PoseAt { pose, secs })
             });
             let (name, secs) = (name.clone(), frames.time(number));
             sequence.sweeps.push(Sweep { pose, secs, motion });
@@ -146,15 +147,15 @@ impl Source for PandaSet {
         let measured = returns.and_then(|returns| returns.measured(self.sensor, sweep));
         let measured = measured.map_err(|reason| Error::format(file, reason))?;
         // Other poses than the data set's move the whole sweep.
-        let moved = |motion: Motion| Motion {
+        let moved = |motion: PoseAt| PoseAt {
             pose: scan.pose * (sweep.pose.inverse() * motion.pose),
             ..motion
         };
         Ok(Scan {
             name: scan.name.clone(),
-            timestamp_secs: scan.timestamp_secs,
-            pose: scan.pose,
-            motion: measured.motion.map(moved),
+            time_ns: scan.timestamp_secs.map(|secs| ns_after(0, secs)),
+            pose: Some(scan.pose),
+            motion: measured.motion.iter().copied().map(moved).collect(),
             ..measured
         })
     }

@@ -14,7 +14,7 @@
 //! stay those of the poses. The points themselves are not moved: they keep their place in the world.
 
 use tsdfuse::glam::{DMat4, DQuat, DVec3, DVec4};
-use tsdfuse::scan::Motion;
+use tsdfuse::scan::PoseAt;
 use tsdfuse::{Pose, SensorModel};
 
 /// A return: its place in the sensor's frame at the frame's time, metres, and its own time after that, seconds.
@@ -40,7 +40,7 @@ const SCATTER_RAD: f64 = 3e-4;
 const PRIOR: DVec4 = DVec4::new(0.2, 0.2, 0.5, 0.5);
 
 /// The motion of the Pandar64 under which its returns lie best on its beams; `motion` itself if that is as good.
-pub(super) fn refine(motion: Motion, pose: Pose, sensor: &SensorModel, returns: &[Return]) -> Motion {
+pub(super) fn refine(motion: PoseAt, pose: Pose, sensor: &SensorModel, returns: &[Return]) -> PoseAt {
     let far = returns
         .iter()
         .filter(|r| r.point.length_squared() > MIN_RANGE_M.powi(2));
@@ -73,7 +73,7 @@ struct Rates {
 }
 
 impl Rates {
-    fn between(pose: Pose, motion: Motion) -> Self {
+    fn between(pose: Pose, motion: PoseAt) -> Self {
         let shift = pose.inverse() * motion.pose;
         Self {
             turn: shift.rotation.to_scaled_axis() / motion.secs,
@@ -81,13 +81,13 @@ impl Rates {
         }
     }
 
-    fn motion(self, pose: Pose, secs: f64) -> Motion {
+    fn motion(self, pose: Pose, secs: f64) -> PoseAt {
         let shift = Pose {
             rotation: DQuat::from_scaled_axis(self.turn * secs),
             translation: self.velocity * secs,
         };
         let pose = pose * shift;
-        Motion { pose, secs }
+        PoseAt { pose, secs }
     }
 
     /// The return as the sensor saw it.

@@ -2,7 +2,7 @@
 
 use tsdfuse::Scan;
 use tsdfuse::glam::{DVec3, Vec3};
-use tsdfuse::scan::{Dropped, Motion, Trajectory};
+use tsdfuse::scan::{Dropped, PoseAt, Sweep as PoseDuringSweep};
 
 use super::calibration::Sensor;
 use super::{Sweep, motion};
@@ -75,7 +75,7 @@ impl Returns {
             ));
         }
         let motion = self.refined(motion, sensor, sweep);
-        let trajectory = Trajectory::new(sweep.pose, &motion);
+        let trajectory = PoseDuringSweep::new(sweep.pose, &[motion]);
         let place = |(&k, time): (&usize, &Option<f32>)| match *time {
             None => Vec3::NAN,
             Some(time) => {
@@ -86,17 +86,17 @@ impl Returns {
         };
         scan.points = mine.iter().zip(&times).map(place).collect();
         scan.times = Some(times.into_iter().map(|time| time.unwrap_or(f32::NAN)).collect());
-        scan.motion = Some(motion);
+        scan.motion = vec![motion];
         Ok(scan)
     }
 
     /// The motion of a sensor, from what the beams of the Pandar64 tell about the vehicle's.
-    fn refined(&self, motion: Motion, sensor: Sensor, sweep: &Sweep) -> Motion {
+    fn refined(&self, motion: PoseAt, sensor: Sensor, sweep: &Sweep) -> PoseAt {
         let Some(model) = Sensor::Pandar64.model() else {
             return motion;
         };
         let sensor_from_pandar64 = sensor.ego_from_sensor().inverse() * Sensor::Pandar64.ego_from_sensor();
-        let of_pandar64 = Motion {
+        let of_pandar64 = PoseAt {
             pose: motion.pose * sensor_from_pandar64,
             ..motion
         };
@@ -109,7 +109,7 @@ impl Returns {
             })
         });
         let refined = motion::refine(of_pandar64, world_from_pandar64, &model, &timed.collect::<Vec<_>>());
-        Motion {
+        PoseAt {
             pose: refined.pose * sensor_from_pandar64.inverse(),
             ..motion
         }

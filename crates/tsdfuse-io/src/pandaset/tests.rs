@@ -67,7 +67,7 @@ fn the_beams_tell_the_motion_where_poses_do_not() {
         })
         .collect();
     let model = pandaset.sensor().unwrap();
-    let off = |motion: &Motion| {
+    let off = |motion: &PoseAt| {
         let off = truth.pose.inverse() * motion.pose;
         (
             off.rotation.to_scaled_axis().length().to_degrees(),
@@ -76,7 +76,7 @@ fn the_beams_tell_the_motion_where_poses_do_not() {
     };
     // Half a degree of pitch and roll, 0.05 m ahead and down.
     let turned = DQuat::from_scaled_axis(DVec3::new(0.0087, -0.0087, 0.0));
-    let wrong = Motion {
+    let wrong = PoseAt {
         pose: truth.pose * Pose::new(turned, DVec3::new(0.05, 0.0, -0.05)).unwrap(),
         ..truth
     };

@@ -4,6 +4,7 @@ use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, Scan, SensorModel};
 
 use crate::error::{Error, Result};
@@ -90,12 +91,15 @@ impl Writer {
         }
         self.write_time(scan)?;
         let path = self.folder.join("poses.txt");
-        writeln!(self.poses, "{}", numbers(&scan.pose)).map_err(Error::io(path))?;
-        self.motion += &match &scan.motion {
-            Some(m) => format!("{} {}\n", m.secs, numbers(&m.pose)),
-            None => "-\n".to_owned(),
-        };
-        self.any_motion |= scan.motion.is_some();
+        let pose = scan
+            .world_from_sensor()
+            .map_err(|e| Error::dataset(&self.folder, e.to_string()))?;
+        writeln!(self.poses, "{}", numbers(&pose)).map_err(Error::io(path))?;
+        let motion = scan.motion.iter().map(|m| format!("{} {}", m.secs, numbers(&m.pose)));
+        let motion = motion.collect::<Vec<_>>().join(" ");
+        self.motion += if motion.is_empty() { "-" } else { &motion };
+        self.motion += "\n";
+        self.any_motion |= !scan.motion.is_empty();
         self.scans += 1;
         Ok(())
     }
@@ -126,7 +130,7 @@ impl Writer {
 
     fn write_time(&mut self, scan: &Scan) -> Result<()> {
         let path = self.folder.join("times.txt");
-        match (scan.timestamp_secs, &mut self.secs) {
+        match (scan.time_ns, &mut self.secs) {
             (None, None) => return Ok(()),
             (Some(_), None) if self.scans == 0 => self.secs = Some(create(&path)?),
             (Some(_), Some(_)) => {}
@@ -135,8 +139,8 @@ impl Writer {
                 return Err(Error::dataset(&self.folder, reason));
             }
         }
-        match (&mut self.secs, scan.timestamp_secs) {
-            (Some(file), Some(secs)) => writeln!(file, "{secs}").map_err(Error::io(path)),
+        match (&mut self.secs, scan.time_ns) {
+            (Some(file), Some(ns)) => writeln!(file, "{}", secs_between(0, ns)).map_err(Error::io(path)),
             _ => Ok(()),
         }
     }

@@ -209,9 +209,9 @@ impl Source for DepthImages {
         let (points, dropped) = self.back_project(&units, mask.as_deref());
         Ok(Scan {
             name: scan.name.clone(),
-            timestamp_secs: scan.timestamp_secs,
+            time_ns: scan.timestamp_secs.map(|secs| tsdfuse::trajectory::ns_after(0, secs)),
             points,
-            pose: scan.pose,
+            pose: Some(scan.pose),
             camera: Some(self.camera),
             dropped,
             ..Default::default()

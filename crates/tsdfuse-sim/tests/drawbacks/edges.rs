@@ -5,10 +5,11 @@ use std::f64::consts::TAU;
 use tsdfuse::{
     Scan,
     fuse::Method,
+    fuse::rings_of,
     glam::{DQuat, DVec3},
     mesh,
     normals::{NormalsConfig, estimate},
-    sensor::{ScanImage, model, rings_of},
+    sensor::{ScanImage, model},
 };
 use tsdfuse_sim::Primitive;
 
@@ -27,7 +28,7 @@ fn normals_lose_the_edges_of_a_box_and_raycasting_does_not() {
     let scans: Vec<Scan> = simulator.scans().collect();
     // How far a return on the box is from its nearest edge: the second smallest distance to a face.
     let from_edge = |s: &Scan, i: usize| {
-        let p = s.pose.transform_point(s.points[i].as_dvec3()) - DVec3::Z * 0.75;
+        let p = s.pose.unwrap().transform_point(s.points[i].as_dvec3()) - DVec3::Z * 0.75;
         let mut to_face = (size / 2.0 - p.abs()).to_array();
         to_face.sort_by(f64::total_cmp);
         (to_face[0].abs() < 1e-3 && p.z > -0.7).then_some(to_face[1])

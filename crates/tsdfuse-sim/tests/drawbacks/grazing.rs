@@ -22,7 +22,7 @@ fn road(method: Method, car_at: Range<u32>) -> (f64, f64) {
     let square = |p: DVec3| (p * 10.0).floor().as_ivec3().truncate().to_array();
     let returns = scans
         .iter()
-        .flat_map(|s| s.points.iter().map(|p| s.pose.transform_point(p.as_dvec3())));
+        .flat_map(|s| s.points.iter().map(|p| s.pose.unwrap().transform_point(p.as_dvec3())));
     let hit: HashSet<_> = returns.filter(|&p| on_patch(p)).map(square).collect();
     let on_road: Vec<_> = triangles(&mesh).filter(|(center, _)| on_patch(*center)).collect();
     let faces_up = |(_, area): &&(DVec3, DVec3)| area.z > 0.7 * area.length();

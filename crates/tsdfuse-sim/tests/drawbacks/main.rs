@@ -41,7 +41,7 @@ fn ground() -> Primitive {
 
 /// The returns that hit what lies there, as the other ones are far enough away not to matter.
 fn only(mut scan: Scan, there: impl Fn(DVec3) -> bool) -> Scan {
-    let in_world = |p: &Vec3| scan.pose.transform_point(p.as_dvec3());
+    let in_world = |p: &Vec3| scan.pose.unwrap().transform_point(p.as_dvec3());
     let keep: Vec<bool> = scan.points.iter().map(|p| there(in_world(p))).collect();
     scan.keep_only(&keep);
     scan

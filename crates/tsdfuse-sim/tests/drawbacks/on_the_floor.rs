@@ -12,9 +12,9 @@ fn scans(sunk_m: f64) -> (SensorModel, Vec<Scan>) {
     let path = (0..12).map(|i| turned(DVec3::Z * 0.04, 0.07 * f64::from(i), 0.02, 0.015));
     let simulator = simulator(vec![ground(), wall], model("os0-128").unwrap(), path.collect(), 0.03);
     let sink = |mut scan: Scan| {
-        let up = (scan.pose.rotation.inverse() * DVec3::Z * sunk_m).as_vec3();
+        let up = (scan.pose.unwrap().rotation.inverse() * DVec3::Z * sunk_m).as_vec3();
         scan.points.iter_mut().for_each(|p| *p += up);
-        scan.pose.translation.z -= sunk_m;
+        scan.pose.as_mut().unwrap().translation.z -= sunk_m;
         scan
     };
     let scans = simulator.scans().map(sink).collect();
@@ -45,7 +45,10 @@ fn floor(map: &VoxelMap) -> (f64, f64, usize) {
 fn the_floor_faces_up() {
     let (sensor, scans) = scans(0.0);
     let floor_returns = |s: &Scan| {
-        let heights = s.points.iter().map(|p| (p.z, s.pose.transform_point(p.as_dvec3())));
+        let heights = s
+            .points
+            .iter()
+            .map(|p| (p.z, s.pose.unwrap().transform_point(p.as_dvec3())));
         heights
             .filter(|(_, w)| w.z < 0.02 && w.x < 5.6)
             .map(|h| h.0)

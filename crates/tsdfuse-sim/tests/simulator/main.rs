@@ -33,11 +33,11 @@ fn points(simulator: &Simulator) -> Vec<Vec3> {
 
 /// Signed distances of a scan's points, placed by its trajectory, or all from its pose.
 fn distances(simulator: &Simulator, scan: &Scan, moving: bool) -> Vec<f64> {
-    let trajectory = scan.trajectory().filter(|_| moving);
+    let trajectory = scan.sweep().filter(|_| moving);
     let place = |(i, p): (usize, &Vec3)| {
         let pose = match (&trajectory, &scan.times) {
             (Some(t), Some(times)) => t.at(f64::from(times[i])),
-            _ => scan.pose,
+            _ => scan.pose.unwrap(),
         };
         simulator.scene().signed_distance(pose.transform_point(p.as_dvec3()))
     };
@@ -59,7 +59,7 @@ fn exact_points_lie_on_the_surface() {
         let simulator = simulator(name, sensor, 3, EXACT);
         for scan in simulator.scans() {
             assert!(scan.points.len() > 300, "{name}: {}", scan.points.len());
-            assert!(scan.times.is_none() && scan.motion.is_none());
+            assert!(scan.times.is_none() && scan.motion.is_empty());
             let worst = worst(&distances(&simulator, &scan, false));
             assert!(worst < 1e-4, "{name}: {worst}");
         }
@@ -82,11 +82,11 @@ fn a_moving_sensor_is_placed_by_its_trajectory() {
             assert!(off > scan.points.len() / 4, "{name}: {off} of {}", scan.points.len());
         }
         for pair in scans.windows(2) {
-            let motion = pair[0].motion.unwrap();
-            assert_eq!((motion.pose, motion.secs), (pair[1].pose, 0.1));
+            let motion = pair[0].motion[0];
+            assert_eq!((motion.pose, motion.secs), (pair[1].pose.unwrap(), 0.1));
         }
         // After the last pose it goes on as it came.
-        let step = |s: &Scan| s.motion.unwrap().pose.translation - s.pose.translation;
+        let step = |s: &Scan| s.motion[0].pose.translation - s.pose.unwrap().translation;
         assert!(step(&scans[3]).distance(step(&scans[2])) < 1e-9);
     }
 }
@@ -169,8 +169,8 @@ fn a_world_far_from_its_origin_scans_the_same() {
         let (near, far) = (scan_at(DVec3::ZERO), scan_at(offset));
         assert_eq!(near.points, far.points);
         assert_eq!(near.intensities, far.intensities);
-        assert_eq!(near.pose.rotation, far.pose.rotation);
-        assert_eq!(near.pose.translation, far.pose.translation - offset);
+        assert_eq!(near.pose.unwrap().rotation, far.pose.unwrap().rotation);
+        assert_eq!(near.pose.unwrap().translation, far.pose.unwrap().translation - offset);
     }
 }
 

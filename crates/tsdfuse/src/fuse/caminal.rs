@@ -116,7 +116,7 @@ impl Caminal {
         let anchor = self.placed.place(grid, scan)?;
         let camera = camera(self.config.cameras, self.beams.of(scan)?);
         let rounds = (0.5 * self.config.max_gap_deg.to_radians() * camera.fx).ceil() as usize;
-        let (placed, world_from_sensor) = (&self.placed.points, world_axes(scan));
+        let (placed, world_from_sensor) = (&self.placed.points, world_axes(scan)?);
         let look = |k: u32| {
             let turn = Mat3::from_rotation_z(-TAU * k as f32 / self.config.cameras as f32);
             let world_from_camera = world_from_sensor * turn;

@@ -71,11 +71,11 @@ impl<'a> Seen<'a> {
         centers: Centers,
     ) -> Self {
         let mut columns = Vec::new();
-        if let (Some(trajectory), Some(times)) = (scan.trajectory(), &scan.times) {
+        if let (Some(sweep), Some(times)) = (scan.sweep(), &scan.times) {
             let columns_there = (0..image.columns()).into_par_iter();
             let then = columns_there.map(|column| {
                 let i = (0..image.rings()).find_map(|ring| image.get(ring, column))?;
-                let (rotation, shift) = trajectory.relative_at(f64::from(times[i]));
+                let (rotation, shift) = sweep.relative_at(f64::from(times[i]));
                 Some(Centers {
                     rotation: Mat3::from_quat(rotation.inverse().as_quat()),
                     origin: shift.as_vec3(),

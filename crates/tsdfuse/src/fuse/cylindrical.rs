@@ -70,7 +70,7 @@ impl Cylindrical {
             points: filled().map(centre).collect(),
             times: scan.times.as_ref().map(time),
             pose: scan.pose,
-            motion: scan.motion,
+            motion: scan.motion.clone(),
             ..Default::default()
         };
         Ok((rounded, lost))

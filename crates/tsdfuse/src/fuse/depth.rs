@@ -53,7 +53,7 @@ impl Integrator for Depth {
         let anchor = anchor(map, scan)?;
         self.image.render(&camera, &scan.points, |p| p);
         let (hidden, outside_image) = (self.image.hidden, self.image.outside);
-        let views = [View::new(camera, world_axes(scan), std::mem::take(&mut self.image))];
+        let views = [View::new(camera, world_axes(scan)?, std::mem::take(&mut self.image))];
         let prepare_secs = start.elapsed().as_secs_f64();
         let mut done = integrate(map, anchor, &views, &mut self.gather)?;
         (done.skipped.hidden, done.skipped.outside_image) = (hidden, outside_image);
@@ -74,7 +74,7 @@ impl Integrator for Depth {
 
 /// The scan's anchor in the map's grid.
 pub(super) fn anchor(map: &VoxelMap, scan: &Scan) -> Result<Anchor, FuseError> {
-    let position = scan.pose.translation;
+    let position = scan.world_from_sensor()?.translation;
     map.grid().anchor(position).ok_or_else(|| FuseError::OutsideGrid {
         scan: scan.name.clone(),
         position,
@@ -82,8 +82,8 @@ pub(super) fn anchor(map: &VoxelMap, scan: &Scan) -> Result<Anchor, FuseError> {
 }
 
 /// Turns the axes of the sensor at the scan's pose into those of the world.
-pub(super) fn world_axes(scan: &Scan) -> Mat3 {
-    glam::DMat3::from_quat(scan.pose.rotation).as_mat3()
+pub(super) fn world_axes(scan: &Scan) -> Result<Mat3, FuseError> {
+    Ok(glam::DMat3::from_quat(scan.world_from_sensor()?.rotation).as_mat3())
 }
 
 /// What a camera at the scan's anchor sees.

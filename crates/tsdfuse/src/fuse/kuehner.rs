@@ -122,7 +122,7 @@ impl Integrator for Kuehner {
         image.fill();
         let config = *map.config();
         image.check_size(scan, &config)?;
-        let world_from_sensor = world_axes(scan);
+        let world_from_sensor = world_axes(scan)?;
         let prepare_secs = start.elapsed().as_secs_f64();
 
         let centers = Centers {

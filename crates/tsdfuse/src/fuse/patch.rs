@@ -192,7 +192,7 @@ impl Integrator for Patch {
             let centers = Centers {
                 anchor,
                 origin: Vec3::ZERO,
-                rotation: world_axes(scan).transpose(),
+                rotation: world_axes(scan)?.transpose(),
                 voxel_size_m: grid.voxel_size_m() as f32,
             };
             let seen = Seen::new(scan, image, placed, patches, centers);

@@ -47,23 +47,24 @@ impl Placed {
     /// Places all returns of a scan, reusing this buffer; tells where the scan is anchored.
     pub(crate) fn place(&mut self, grid: Grid, scan: &Scan) -> Result<Anchor, FuseError> {
         scan.check()?;
-        let position = scan.pose.translation;
+        let pose = scan.world_from_sensor()?;
+        let position = pose.translation;
         let anchor = grid.anchor(position).ok_or_else(|| FuseError::OutsideGrid {
             scan: scan.name.clone(),
             position,
         })?;
         self.anchor = Some(anchor);
         self.origins.clear();
-        match (scan.trajectory(), &scan.times) {
-            (Some(trajectory), Some(times)) => {
+        match (scan.sweep(), &scan.times) {
+            (Some(sweep), Some(times)) => {
                 let placed = scan.points.par_iter().zip(times).map(|(point, &secs)| {
-                    let (rotation, shift) = trajectory.relative_at(f64::from(secs));
+                    let (rotation, shift) = sweep.relative_at(f64::from(secs));
                     ((rotation * point.as_dvec3() + shift).as_vec3(), shift.as_vec3())
                 });
                 placed.unzip_into_vecs(&mut self.points, &mut self.origins);
             }
             _ => {
-                let rotation = glam::DMat3::from_quat(scan.pose.rotation);
+                let rotation = glam::DMat3::from_quat(pose.rotation);
                 scan.points
                     .par_iter()
                     .map(|p| (rotation * p.as_dvec3()).as_vec3())

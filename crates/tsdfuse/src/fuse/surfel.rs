@@ -91,7 +91,7 @@ impl Integrator for Surfels {
             model.map_or(RangeLimits::default().max_range_m, |m| m.max_range_m)
         });
         let origins = Some(self.placed.origins.as_slice()).filter(|o| !o.is_empty());
-        let up = (scan.pose.rotation * glam::DVec3::Z).as_vec3();
+        let up = (scan.world_from_sensor()?.rotation * glam::DVec3::Z).as_vec3();
         self.surfels.update(&self.placed.points, origins, up, &self.config);
         let (fused_returns, skipped) = self.make_discs(max_range_m, map.config());
         let prepare_secs = start.elapsed().as_secs_f64();

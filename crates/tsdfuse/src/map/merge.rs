@@ -76,10 +76,10 @@ mod tests {
         let points = (-20..20).flat_map(|y| (-20..20).map(move |z| Vec3::new(3.0, 0.05 * y as f32, 0.05 * z as f32)));
         Scan {
             points: points.collect(),
-            pose: Pose {
+            pose: Some(Pose {
                 translation: glam::DVec3::new(0.13, 0.4, -0.1) * f64::from(number),
                 ..Pose::IDENTITY
-            },
+            }),
             ..Default::default()
         }
     }

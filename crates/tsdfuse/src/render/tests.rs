@@ -229,7 +229,7 @@ fn a_scan_is_seen_again_from_its_own_pose() {
             &mut map,
             &Scan {
                 points: returns.clone(),
-                pose,
+                pose: Some(pose),
                 ..Default::default()
             },
         )

@@ -35,7 +35,7 @@ pub(crate) fn scan(number: usize, rays: usize) -> Scan {
     Scan {
         name: format!("scan {number}"),
         points: points.collect(),
-        pose,
+        pose: Some(pose),
         ..Default::default()
     }
 }
