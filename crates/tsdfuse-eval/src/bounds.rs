@@ -4,17 +4,17 @@ use rayon::prelude::*;
 use serde::Serialize;
 use tsdfuse::glam::DVec3;
 
-/// Opposite corners of a box, metres.
+/// A box, given by opposite corners, metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Bounds {
-    /// Least coordinates.
+    /// The smallest coordinates.
     pub min: DVec3,
-    /// Greatest coordinates.
+    /// The largest coordinates.
     pub max: DVec3,
 }
 
 impl Bounds {
-    /// The box around points; `None` around none.
+    /// The box around points; `None` if there are no points.
     pub fn of(points: &[DVec3]) -> Option<Self> {
         let of_point = |&p: &DVec3| Self { min: p, max: p };
         let joined = |a: Self, b: Self| Self {
@@ -24,17 +24,17 @@ impl Bounds {
         points.par_iter().map(of_point).reduce_with(joined)
     }
 
-    /// Whether a point lies in it or on its sides.
+    /// Whether a point lies inside the box or on its sides.
     pub fn contains(&self, p: DVec3) -> bool {
         p.cmpge(self.min).all() && p.cmple(self.max).all()
     }
 
-    /// Length of the diagonal, metres.
+    /// The length of the diagonal, metres.
     pub fn diagonal_m(&self) -> f64 {
         self.min.distance(self.max)
     }
 
-    /// The distance between two boxes, metres: 0 where they overlap.
+    /// The distance between two boxes, metres; 0 if they overlap.
     pub fn gap_m(&self, other: &Self) -> f64 {
         (other.min - self.max)
             .max(self.min - other.max)

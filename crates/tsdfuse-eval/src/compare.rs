@@ -17,7 +17,7 @@ use crate::voxels::down_sample;
 /// Compares a mesh with a reference.
 ///
 /// # Errors
-/// If the protocol, the mesh or what is left of one of them cannot be measured: see [`EvalError`].
+/// [`EvalError`] if the protocol is invalid, or if nothing of the mesh or of the reference can be measured.
 pub fn compare(mesh: &Mesh, reference: &Reference, protocol: &Protocol) -> Result<Comparison> {
     protocol.check()?;
     let (mesh, broken) = sound("mesh", mesh.clone())?;
@@ -32,7 +32,7 @@ pub fn compare(mesh: &Mesh, reference: &Reference, protocol: &Protocol) -> Resul
         reference_points: points.len(),
         reference_bounds: reference.bounds(),
     };
-    // A mesh is dense everywhere; a cloud where its points are, before voxels thin them out.
+    // A mesh is dense everywhere. A cloud is judged by its points before down-sampling.
     let density = (reference.kind() == "cloud").then(|| Density::of(&points, protocol.dense));
     let (samples, points, to_reference) = match protocol.voxel_m {
         None => {
@@ -76,12 +76,12 @@ pub fn compare(mesh: &Mesh, reference: &Reference, protocol: &Protocol) -> Resul
     })
 }
 
-/// A warning about parts that are not finite.
+/// A warning about invalid parts, if there are any.
 fn counted(count: usize, what: &str) -> Option<String> {
     (count > 0).then(|| format!("{count} {what} are not finite or absurdly far away; they are left out"))
 }
 
-/// What goes into a comparison, and the boxes that bound it.
+/// The inputs of a comparison, and the boxes that limit them.
 struct Parts<'a> {
     mesh: &'a Mesh,
     mesh_bounds: Bounds,
@@ -107,7 +107,7 @@ impl<'a> Parts<'a> {
         })
     }
 
-    /// The mesh as points.
+    /// Points sampled on the mesh.
     fn samples(&self) -> Result<Vec<DVec3>> {
         let mut mesh = None;
         let mut restrict = |keep: &dyn Fn([DVec3; 3]) -> bool, within: String| {
@@ -122,7 +122,7 @@ impl<'a> Parts<'a> {
         };
         if self.protocol.within_reference_box {
             let mut bounds = self.reference.bounds();
-            // As the papers' scripts: upwards and downwards only.
+            // As in the papers' scripts: upwards and downwards only.
             let margin = DVec3::Z * self.protocol.voxel_m.unwrap_or(0.0);
             bounds.min -= margin;
             bounds.max += margin;
@@ -169,7 +169,7 @@ fn take_samples(mesh: &Mesh, protocol: &Protocol) -> Vec<DVec3> {
     }
 }
 
-/// The figures where the reference is dense, if it is anywhere; from places and their distances.
+/// The figures of the densely observed places, if there are any, from all places and their distances.
 fn dense(
     density: &Density,
     samples: (&Vec<DVec3>, &Vec<f64>),

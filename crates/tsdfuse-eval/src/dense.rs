@@ -1,4 +1,4 @@
-//! Which places were densely observed.
+//! Densely observed places.
 
 use rustc_hash::FxHashMap;
 use serde::{Deserialize, Serialize};
@@ -6,17 +6,17 @@ use tsdfuse::glam::{DVec3, IVec3};
 
 use crate::error::{EvalError, Result};
 
-/// When a place counts as densely observed: space is divided into cubes, and the cube of the place together with its 26
-/// neighbours holds so many reference points.
+/// The rule by which a place counts as densely observed: space is divided into cubes, and the place's cube and its 26 neighbours
+/// together contain this many reference points.
 ///
-/// A sample may so be farther than a cube's edge from every reference point and count nevertheless: large errors beside
+/// So a sample may count although it is farther than a cube's edge from every reference point: large errors beside
 /// well-observed surfaces stay in the figures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DenseRule {
-    /// Edge of a cube, metres.
+    /// The edge of a cube, metres.
     pub cube_m: f64,
-    /// Reference points in 3 × 3 × 3 cubes.
+    /// The least number of reference points in 3 × 3 × 3 cubes.
     pub points: u64,
 }
 
@@ -43,14 +43,14 @@ impl DenseRule {
     }
 }
 
-/// The reference points in each cube.
+/// The number of reference points in each cube.
 pub struct Density {
     rule: DenseRule,
     cubes: FxHashMap<IVec3, u64>,
 }
 
 impl Density {
-    /// Counts points.
+    /// Counts the points of each cube.
     pub fn of(points: &[DVec3], rule: DenseRule) -> Self {
         let mut cubes = FxHashMap::default();
         for &point in points {
@@ -63,7 +63,7 @@ impl Density {
     pub fn dense(&self, places: &[DVec3]) -> Vec<bool> {
         use rayon::prelude::*;
         let part = |places: &[DVec3]| {
-            // Places come in the order of triangles or rays: often in the cube of the one before.
+            // Places have the order of triangles or rays, so a place is often in the same cube as the one before.
             let mut last = None;
             let dense = places.iter().map(|&place| {
                 let cube = cube(place, self.rule.cube_m);

@@ -1,30 +1,30 @@
-//! Why there is nothing to compare.
+//! What can go wrong in a comparison.
 
 /// The one error of this crate. Its message is one line.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EvalError {
-    /// There is no triangle.
+    /// There are no triangles.
     #[error("the {0} has no triangles: is it a cloud of points?")]
     NoTriangles(&'static str),
     /// All triangles are degenerate or not finite.
     #[error("the {0} has no area: all its {1} triangles are degenerate or not finite")]
     NoArea(&'static str, usize),
-    /// There is no point.
+    /// There are no points.
     #[error("the reference has no points")]
     NoPoints,
     /// All points are NaN, infinite or absurdly far away.
     #[error("none of the {0} points of the reference is finite and within 100 000 km of the origin")]
     NoFinitePoints(usize),
-    /// A triangle's corner is no vertex.
+    /// A corner of a triangle is not a vertex.
     #[error("triangle {triangle} of the {of} has corner {corner}, but there are {vertices} vertices")]
     Corner {
         /// Which mesh.
         of: &'static str,
-        /// Its number.
+        /// The number of the triangle.
         triangle: usize,
         /// The number of the vertex.
         corner: u32,
-        /// How many there are.
+        /// The number of vertices.
         vertices: usize,
     },
     /// Nearest neighbours are numbered with 32 bits.
@@ -35,7 +35,7 @@ pub enum EvalError {
     NothingWithin {
         /// The mesh or the reference.
         of: &'static str,
-        /// Which box.
+        /// The box.
         within: String,
     },
     /// Every distance of a direction exceeds the protocol's limit.
@@ -43,9 +43,9 @@ pub enum EvalError {
         "all {points} distances from {direction} exceed {limit_m} m, beyond which this protocol leaves them out: is the reference of another place or unit?"
     )]
     AllLeftOut {
-        /// From what to what.
+        /// The direction: from what to what.
         direction: &'static str,
-        /// How many.
+        /// The number of points.
         points: usize,
         /// The limit.
         limit_m: f64,

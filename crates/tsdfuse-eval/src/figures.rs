@@ -11,23 +11,23 @@ use crate::stats::{Histogram, Stats, share_within};
 /// Bins of [`Direction::histogram`], and their width, metres: 0 to 50 cm.
 const BINS: (usize, f64) = (250, 0.002);
 
-/// What comparing a mesh with a reference came to.
+/// The result of comparing a mesh with a reference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// By which rules.
+    /// The rules of the comparison.
     pub protocol: Protocol,
-    /// What was compared.
+    /// The inputs.
     pub inputs: Inputs,
-    /// In all places.
+    /// The figures of all places.
     pub all: Measures,
-    /// Where the reference is dense by the protocol's rule. `None` for a mesh as reference, which is dense everywhere, and
-    /// where nothing is dense.
+    /// The figures of the places where the reference is dense by the protocol's rule. `None` if the reference is a mesh, which
+    /// is dense everywhere, or if no place is dense.
     pub dense: Option<Dense>,
-    /// What casts doubt on the figures, one sentence each.
+    /// Reasons to doubt the figures, one sentence each.
     pub warnings: Vec<String>,
 }
 
-/// What was compared.
+/// The inputs of a comparison.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Inputs {
     /// Triangles of the mesh.
@@ -38,7 +38,7 @@ pub struct Inputs {
     pub mesh_bounds: Bounds,
     /// `cloud` or `mesh`.
     pub reference: &'static str,
-    /// Points of the reference that completeness is asked for, before voxels thin them out.
+    /// The points of the reference that completeness is measured at, before down-sampling.
     pub reference_points: usize,
     /// The box around the reference.
     pub reference_bounds: Bounds,
@@ -47,53 +47,53 @@ pub struct Inputs {
 /// The figures of a region.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Measures {
-    /// From samples of the mesh to the reference: accuracy.
+    /// Distances from samples of the mesh to the reference: accuracy.
     pub mesh_to_reference: Direction,
-    /// From points of the reference to the mesh: completeness.
+    /// Distances from points of the reference to the mesh: completeness.
     pub reference_to_mesh: Direction,
-    /// Half the sum of both averages, metres.
+    /// The mean of both averages, metres.
     pub chamfer_l1_m: f64,
-    /// Root of half the sum of both mean squares, metres.
+    /// The root of the mean of both mean squares, metres.
     pub chamfer_l2_m: f64,
-    /// At each of the protocol's thresholds.
+    /// Shares at each of the protocol's thresholds.
     pub thresholds: Vec<AtThreshold>,
 }
 
 /// The distances of one direction.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Direction {
-    /// Of the distances that count.
+    /// Statistics of the distances that count.
     #[serde(flatten)]
     pub stats: Stats,
-    /// Distances that the protocol's limit left out.
+    /// The number of distances that the protocol's limit left out.
     pub left_out: usize,
-    /// Distances that the protocol's limit shortened.
+    /// The number of distances that the protocol's limit shortened.
     pub clamped: usize,
-    /// Of the distances that count.
+    /// Histogram of the distances that count.
     pub histogram: Histogram,
 }
 
 /// Shares within a threshold, 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct AtThreshold {
-    /// The threshold: a distance of exactly so much is within it.
+    /// The threshold; a distance equal to it is within it.
     pub threshold_m: f64,
-    /// Samples of the mesh within it of the reference.
+    /// The share of the mesh's samples that are within the threshold of the reference.
     pub precision: f64,
-    /// Points of the reference within it of the mesh: recall.
+    /// The share of the reference's points that are within the threshold of the mesh: recall.
     pub completeness: f64,
-    /// Harmonic mean of both.
+    /// The harmonic mean of both.
     pub f_score: f64,
 }
 
-/// The densely observed places.
+/// The figures of the densely observed places.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Dense {
     /// The share of the mesh's samples that lie there.
     pub share_of_mesh: f64,
-    /// The share of the reference's points.
+    /// The share of the reference's points that lie there.
     pub share_of_reference: f64,
-    /// The figures there.
+    /// Their figures.
     #[serde(flatten)]
     pub measures: Measures,
 }
@@ -130,7 +130,7 @@ impl Measures {
 }
 
 impl Direction {
-    /// The distances that count, and what they come to.
+    /// The distances that count, and their figures.
     pub(crate) fn of(distances: &[f64], limit: Option<Limit>, direction: &'static str) -> Result<(Vec<f64>, Self)> {
         let beyond = |limit_m| distances.par_iter().filter(|&&d| d >= limit_m).count();
         let (counting, left_out, clamped): (Vec<f64>, _, _) = match limit {

@@ -1,4 +1,4 @@
-//! Held-out scans: how well a map foretells what it has not seen. Needs no ground truth.
+//! Held-out scans: how well a map predicts returns that it has not seen. No ground truth is needed.
 //!
 //! ```text
 //!             margin  return  margin
@@ -7,8 +7,8 @@
 //!           false       hit      missing
 //! ```
 //!
-//! Each return is looked for along its own ray, from where the sensor was when it was measured. So any sensor will do, also
-//! one that moved while it scanned, and depth cameras.
+//! Each return is searched along its own ray, from the sensor's position at the return's time. So this works for any sensor,
+//! including depth cameras and sensors that move during a scan.
 
 use serde::Serialize;
 use tsdfuse::Scan;
@@ -17,32 +17,32 @@ use tsdfuse::scan::ScanError;
 
 use crate::stats::Stats;
 
-/// Whether every `every`-th scan being held out, the one at `position` is: the middle one of each group, so that scans before
-/// and after it are in the map.
+/// Whether the scan at `position` is held out if every `every`-th scan is. It is the middle one of each group, so that scans
+/// before and after it are in the map.
 pub fn is_held_out(position: usize, every: usize) -> bool {
     every > 0 && position % every == every / 2
 }
 
-/// How the returns of held-out scans lie to the surface of a map. The three shares add up to 1.
+/// How the returns of held-out scans compare with the surface of a map. The three shares add up to 1.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HeldOut {
-    /// Farther from its return than this, along the ray, surface is another surface, metres.
+    /// Surface farther than this from a return, along the ray, counts as another surface, metres.
     pub margin_m: f64,
-    /// Returns of the held-out scans.
+    /// The number of returns of the held-out scans.
     pub returns: u64,
-    /// Share of the returns with surface within the margin.
+    /// The share of the returns with surface within the margin.
     pub hit_rate: f64,
-    /// Share with surface nearer to the sensor than that, where the ray has been: false surface.
+    /// The share with surface nearer to the sensor than that, where the ray has passed: false surface.
     pub false_surface: f64,
-    /// Share without surface up to the margin behind the return.
+    /// The share without any surface up to the margin behind the return.
     pub missing: f64,
-    /// |Δr| of the hits: measured range against that of the surface; `None` without any.
+    /// |Δr| of the hits, the difference between the measured range and that of the surface; `None` if there are no hits.
     pub error: Option<Stats>,
-    /// Mean of Δr = surface − measured, over the hits, metres: negative where surface stands too near to the sensor; 0 without
-    /// any.
+    /// The mean of Δr = surface − measured over the hits, metres; negative if the surface is too near to the sensor, 0 if there
+    /// are no hits.
     pub bias_m: f64,
-    /// Mean over all returns of min(|Δr|, margin), false and missing surface counting as the margin, metres. Holes do not make
-    /// it better.
+    /// The mean of min(|Δr|, margin) over all returns, metres. False and missing surface count as the margin, so holes do not
+    /// improve it.
     pub capped_error_m: f64,
 }
 
@@ -57,7 +57,7 @@ pub struct Collector {
 }
 
 impl Collector {
-    /// With this margin, see [`HeldOut::margin_m`].
+    /// Starts with this margin: see [`HeldOut::margin_m`].
     pub fn new(margin_m: f64) -> Self {
         Self {
             margin_m,
@@ -67,7 +67,8 @@ impl Collector {
         }
     }
 
-    /// Compares the returns of a scan that is not in the map. Invalid ones must be out of it: see [`Scan::drop_invalid`].
+    /// Compares the returns of a scan that is not in the map. Invalid returns must have been dropped: see
+    /// [`Scan::drop_invalid`].
     ///
     /// # Errors
     /// [`ScanError::NoPose`] names a scan without a pose.
@@ -96,7 +97,7 @@ impl Collector {
         &self.errors_m
     }
 
-    /// All returns so far; `None` if there are none.
+    /// The result for all returns so far; `None` if there are none.
     pub fn result(&self) -> Option<HeldOut> {
         let share = |n: u64| n as f64 / self.returns as f64;
         let hits = self.errors_m.len() as u64;

@@ -1,9 +1,8 @@
-//! How good a reconstructed mesh is.
+//! Measures how good a reconstructed mesh is.
 //!
-//! A mesh is sampled ([`sample`]), the samples are compared with a [`Reference`] (a cloud or a mesh) in both directions
-//! by the rules of a [`Protocol`], and the distances become a [`Comparison`]: averages, percentiles, completeness, precision
-//! and F-score, for all places and for those that were densely observed. What each figure means is written in
-//! `docs/evaluation.md`.
+//! A mesh is sampled ([`sample`]) and compared with a [`Reference`] (a cloud or a mesh) in both directions by the rules of a
+//! [`Protocol`]. The distances become a [`Comparison`]: averages, percentiles, completeness, precision and F-score, for all
+//! places and for those that were densely observed. `docs/evaluation.md` explains each figure.
 //!
 //! All lengths are metres. The same input gives the same figures on any number of threads.
 //!

@@ -1,5 +1,5 @@
-//! What a mesh looks like: drawn triangle by triangle, with what faces away almost black, which a view of the map
-//! ([`tsdfuse::render`]) does not show.
+//! Pictures of a mesh, drawn triangle by triangle. Triangles that face away are almost black; a view of the map
+//! ([`tsdfuse::render`]) does not show them.
 
 mod sheet;
 
@@ -11,31 +11,31 @@ use tsdfuse::{Mesh, Pose};
 use sheet::BACKGROUND;
 pub use sheet::sheet;
 
-/// Nearer than this to the camera nothing is drawn, metres.
+/// Nothing is drawn nearer than this to the camera, metres.
 const NEAR_M: f64 = 0.2;
 
 /// Steps of brightness: pictures with few colours make small files.
 const LEVELS: f64 = 16.0;
 
-/// The colour of surface without a colour of its own.
+/// The colour of a surface without colours.
 const GREY: [u8; 3] = [230; 3];
 
-/// Where a picture is taken from.
+/// The viewpoint of a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// The camera.
     pub camera: Pinhole,
     /// `world_from_camera`: x forward, y left, z up.
     pub pose: Pose,
-    /// Whether what faces away is left out instead of being almost black: to look into a room from outside.
+    /// Whether triangles that face away are left out instead of drawn almost black, to look into a room from outside.
     pub cull: bool,
 }
 
 impl View {
-    /// From one place to another, upright; metres, world.
+    /// A view from one place towards another, upright; metres, world.
     pub fn between(camera: Pinhole, from: DVec3, to: DVec3) -> Self {
         let ahead = (to - from).try_normalize().unwrap_or(DVec3::X);
-        // Straight up or down, the world's y axis is left.
+        // When looking straight up or down, the world's y axis points left.
         let left = DVec3::Z.cross(ahead).try_normalize().unwrap_or(DVec3::Y);
         let rotation = DQuat::from_mat3(&DMat3::from_cols(ahead, left, ahead.cross(left)));
         let pose = Pose {
@@ -49,7 +49,7 @@ impl View {
         }
     }
 
-    /// Draws a mesh, in the colours of its vertices if there are any: red, green, blue.
+    /// Draws a mesh, in the colours of its vertices (red, green, blue) if given.
     pub fn of_mesh(&self, mesh: &Mesh, colors: Option<&[[u8; 3]]>) -> Image {
         let mut canvas = Canvas::new(self);
         for triangle in &mesh.triangles {
@@ -61,7 +61,7 @@ impl View {
             let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
             let cos = -normal.normalize_or_zero().dot(corners[0].normalize_or_zero());
             if cos > 0.0 || !self.cull {
-                // Colours mean something: they keep most of their brightness.
+                // Colours carry meaning, so they keep most of their brightness.
                 let light = if colors.is_some() && cos > 0.0 {
                     0.5 + 0.5 * light(cos)
                 } else {
@@ -87,7 +87,7 @@ impl View {
     }
 }
 
-/// Light comes from the camera; surface that is seen from behind is almost black.
+/// Light comes from the camera; a surface seen from behind is almost black.
 fn light(cos: f64) -> f64 {
     let light = if cos > 0.0 { 0.3 + 0.7 * cos } else { 0.06 };
     (light * LEVELS).round() / LEVELS
@@ -119,7 +119,7 @@ fn clipped(corners: [DVec3; 3], mut draw: impl FnMut([DVec3; 3])) {
     }
 }
 
-/// A picture in the making.
+/// A picture while it is drawn.
 struct Canvas {
     camera: Pinhole,
     camera_from_world: (DMat3, DVec3),
@@ -150,7 +150,7 @@ impl Canvas {
         DVec3::new(cx - fx * p.y / p.x, cy - fy * p.z / p.x, 1.0 / p.x)
     }
 
-    /// The columns (axis 0) or rows between two places in the image; empty outside of it.
+    /// The columns (axis 0) or rows between two places in the image; empty outside the image.
     fn between(&self, axis: usize, low: f64, high: f64) -> std::ops::Range<usize> {
         let size = [self.camera.width, self.camera.height][axis];
         let most = high.floor().min(f64::from(size) - 1.0);
@@ -186,14 +186,14 @@ impl Canvas {
             self.between(1, at.y - half, at.y + half),
             self.between(0, at.x - half, at.x + half),
         );
-        // Far points are brighter, so that depth is seen.
+        // Far points are brighter, which shows depth.
         let shade = (60.0 + 120.0 * (point.x / 40.0).min(1.0)) as u8 & !7;
         for (row, column) in rows.flat_map(|row| columns.clone().map(move |column| (row, column))) {
             self.set(row, column, at.z, [shade; 3]);
         }
     }
 
-    /// What is nearer is drawn over what is farther away.
+    /// Sets a pixel unless something nearer was drawn there.
     fn set(&mut self, row: usize, column: usize, nearness: f64, color: [u8; 3]) {
         let pixel = row * self.camera.width as usize + column;
         if nearness > self.nearness[pixel] {

@@ -1,9 +1,9 @@
-//! What makes figures doubtful: other units, other places.
+//! Reasons to doubt the figures: different units, different places.
 
 use crate::figures::{Inputs, Measures};
 use crate::protocol::Protocol;
 
-/// Factors between units that are mistaken for metres.
+/// Units that are mistaken for metres, and their number per metre.
 const UNITS: [(&str, f64); 5] = [
     ("millimetres", 1000.0),
     ("centimetres", 100.0),
@@ -12,13 +12,13 @@ const UNITS: [(&str, f64); 5] = [
     ("kilometres", 0.001),
 ];
 
-/// Sizes may differ by this much around a unit's factor.
+/// The tolerance of a unit's factor.
 const SIZE_TOLERANCE: f64 = 1.25;
 
-/// A median distance of more than this, metres, is rather another place than an error.
+/// A median distance above this, metres, suggests another place rather than an error.
 const ANOTHER_PLACE_M: f64 = 1.0;
 
-/// What casts doubt on the figures, one sentence each.
+/// Reasons to doubt the figures, one sentence each.
 pub(crate) fn warnings(inputs: &Inputs, all: &Measures, protocol: &Protocol) -> Vec<String> {
     let [mesh, reference] = [inputs.mesh_bounds, inputs.reference_bounds];
     let mut warnings = Vec::new();
@@ -35,7 +35,7 @@ pub(crate) fn warnings(inputs: &Inputs, all: &Measures, protocol: &Protocol) -> 
             "half of the mesh is more than {median_m:.3} m away from the reference: another place, or poses of another frame?"
         ));
     }
-    // A part of a reference is smaller than the reference: only together with long distances is a size suspicious.
+    // A mesh may cover only a part of the reference, so a size is suspicious only together with long distances.
     let far = median_m > 0.02 * mesh.diagonal_m().min(reference.diagonal_m());
     let [mesh_m, reference_m] = [mesh, reference].map(|bounds| bounds.diagonal_m());
     let ratio = reference_m / mesh_m;

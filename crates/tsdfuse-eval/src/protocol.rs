@@ -1,4 +1,4 @@
-//! How a mesh is compared: presets of our own and of papers.
+//! The rules of a comparison: presets of our own and of papers.
 
 use serde::{Deserialize, Serialize};
 use tsdfuse::glam::DVec3;
@@ -6,35 +6,35 @@ use tsdfuse::glam::DVec3;
 use crate::dense::DenseRule;
 use crate::error::{EvalError, Result};
 
-/// How a mesh is compared with a reference.
+/// The rules by which a mesh is compared with a reference.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Protocol {
-    /// The preset it began as.
+    /// The preset that it is based on.
     pub name: String,
-    /// How the mesh becomes points.
+    /// How the mesh is sampled.
     pub sampling: Sampling,
-    /// How many of them.
+    /// The number of samples.
     pub samples: usize,
-    /// Samples and reference points are replaced by the means of the points in voxels of this edge, metres.
+    /// The edge of the voxels in which samples and reference points are replaced by their means, metres.
     pub voxel_m: Option<f64>,
-    /// What the distance from the reference to the mesh is measured to.
+    /// What distances from the reference to the mesh are measured to.
     pub to_mesh: ToMesh,
-    /// Triangles that reach out of the reference's box (with `voxel_m` above and below) are left out.
+    /// Whether triangles that reach beyond the reference's box (extended by `voxel_m` above and below) are left out.
     pub within_reference_box: bool,
-    /// Only what lies in this box is compared, `[min, max]`, metres; its neighbours may lie outside.
+    /// The box that is compared, `[min, max]`, metres. Nearest neighbours may lie outside it.
     pub crop: Option<[DVec3; 2]>,
-    /// What becomes of long distances from the mesh to the reference.
+    /// How long distances from the mesh to the reference count.
     pub accuracy_limit: Option<Limit>,
-    /// What becomes of long distances from the reference to the mesh.
+    /// How long distances from the reference to the mesh count.
     pub completeness_limit: Option<Limit>,
-    /// At which distances precision, completeness and F-score are taken, metres.
+    /// The thresholds of precision, completeness and F-score, metres.
     pub thresholds_m: Vec<f64>,
-    /// Which places are densely observed.
+    /// The rule of densely observed places.
     pub dense: DenseRule,
 }
 
-/// How a mesh becomes points.
+/// How a mesh is sampled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sampling {
@@ -44,7 +44,7 @@ pub enum Sampling {
     PoissonDisk,
 }
 
-/// What the distance from the reference to the mesh is measured to.
+/// What distances from the reference to the mesh are measured to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ToMesh {
@@ -54,18 +54,18 @@ pub enum ToMesh {
     Samples,
 }
 
-/// What becomes of long distances.
+/// How long distances count.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Limit {
-    /// Those of this many metres and more are left out, of shares too.
+    /// Distances from this many metres on are left out, also from shares.
     LeaveOut(f64),
-    /// Those of this many metres and more count as so many.
+    /// Distances from this many metres on count as this many metres.
     Clamp(f64),
 }
 
 impl Limit {
-    /// The distance from which it acts, metres.
+    /// The distance from which the limit applies, metres.
     pub fn limit_m(self) -> f64 {
         match self {
             Self::LeaveOut(limit_m) | Self::Clamp(limit_m) => limit_m,
@@ -73,11 +73,11 @@ impl Limit {
     }
 }
 
-/// Fewer samples are no measurement; more are not numbered with 32 bits with their candidates.
+/// Fewer samples measure nothing; more, with their candidates, cannot be numbered with 32 bits.
 const SAMPLES: std::ops::RangeInclusive<usize> = 100..=500_000_000;
 
 impl Protocol {
-    /// Ours: a million points evenly over the area, exact distances both ways, nothing left out.
+    /// Our own protocol: a million points spread evenly over the area, exact distances in both directions, nothing left out.
     pub fn surface() -> Self {
         Self {
             name: "surface".to_owned(),
@@ -94,7 +94,8 @@ impl Protocol {
         }
     }
 
-    /// The thesis's (Miebach, Bonn 2021, 7.1.3 and 7.2): Poisson-disk samples of the mesh, the nearest point of all scans.
+    /// The thesis's protocol (Miebach, Bonn 2021, 7.1.3 and 7.2): Poisson-disk samples of the mesh, the nearest point of all
+    /// scans.
     pub fn thesis() -> Self {
         Self {
             name: "thesis".to_owned(),
@@ -103,7 +104,7 @@ impl Protocol {
         }
     }
 
-    /// That of `eval_mesh` in SHINE-Mapping (Zhong et al., ICRA 2023), from which those of others are derived.
+    /// The protocol of `eval_mesh` in SHINE-Mapping (Zhong et al., ICRA 2023), from which others are derived.
     fn shine(name: &str, voxel_m: f64, threshold_m: f64) -> Self {
         Self {
             name: name.to_owned(),
@@ -118,7 +119,7 @@ impl Protocol {
         }
     }
 
-    /// The preset of a name of [`Protocol::NAMES`].
+    /// The preset with a name from [`Protocol::NAMES`].
     pub fn by_name(name: &str) -> Option<Self> {
         Some(match name {
             "surface" => Self::surface(),

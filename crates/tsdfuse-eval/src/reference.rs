@@ -1,4 +1,4 @@
-//! What a mesh is compared with.
+//! References that a mesh is compared with.
 
 mod cloud;
 mod coherent;
@@ -16,15 +16,15 @@ pub use crate::bounds::Bounds;
 pub(crate) use cloud::CloudTree;
 pub(crate) use triangles::TriangleTree;
 
-/// Coordinates beyond this, metres, are errors: the Earth is smaller.
+/// Coordinates beyond this, metres, count as errors: the Earth is smaller.
 pub const MAX_COORDINATE_M: f64 = 1e8;
 
-/// A cloud or a mesh that tells how far points are from it.
+/// A cloud or a mesh that measures the distances of points from it.
 #[derive(Debug)]
 pub struct Reference {
     shape: Shape,
     bounds: Bounds,
-    /// Points that stand for the surface that can be found again, where they are not the cloud itself.
+    /// The points at which completeness is measured, if not those of the cloud.
     observed: Option<Vec<DVec3>>,
     left_out: usize,
 }
@@ -45,7 +45,7 @@ impl Reference {
     /// A cloud: distances are to the nearest point. Points that are not finite are left out and counted.
     ///
     /// # Errors
-    /// If no point is left, or there are more than can be numbered.
+    /// If no point is left, or there are too many to be numbered.
     pub fn cloud(points: Vec<DVec3>) -> Result<Self> {
         let (points, left_out) = finite(points)?;
         let bounds = Bounds::of(&points).ok_or(EvalError::NoPoints)?;
@@ -61,7 +61,7 @@ impl Reference {
     /// A mesh: distances are to the nearest point of any triangle. Triangles that are not finite are left out and counted.
     ///
     /// # Errors
-    /// If it has no area, or a corner that is no vertex.
+    /// If it has no area, or a triangle with a corner that is not a vertex.
     pub fn mesh(mesh: Mesh) -> Result<Self> {
         let (mesh, left_out) = sound("reference", mesh)?;
         let used: Vec<DVec3> = mesh
@@ -80,7 +80,7 @@ impl Reference {
         })
     }
 
-    /// Completeness is asked for these points alone: those that a sensor did see of a true surface, for instance.
+    /// Measures completeness at these points only, for instance at those points of a true surface that a sensor has seen.
     ///
     /// # Errors
     /// As [`Reference::cloud`].
@@ -99,7 +99,7 @@ impl Reference {
         }
     }
 
-    /// Whether each point is no farther from the reference than this: what [`Reference::distances`] tells, in less time.
+    /// Whether each point is at most this far from the reference. Faster than [`Reference::distances`].
     pub fn are_within(&self, points: &[DVec3], distance_m: f64) -> Vec<bool> {
         match &self.shape {
             Shape::Cloud { .. } => self.distances(points).iter().map(|d| *d <= distance_m).collect(),
@@ -110,12 +110,12 @@ impl Reference {
         }
     }
 
-    /// The box around it.
+    /// The box around the reference.
     pub fn bounds(&self) -> Bounds {
         self.bounds
     }
 
-    /// What it is, for people: `cloud` or `mesh`.
+    /// Its kind, for messages: `cloud` or `mesh`.
     pub fn kind(&self) -> &'static str {
         match self.shape {
             Shape::Cloud { .. } => "cloud",
@@ -123,7 +123,8 @@ impl Reference {
         }
     }
 
-    /// The points that a mesh should come close to: the observed ones, the cloud's, or `None` for a mesh without either.
+    /// The points at which completeness is measured: the observed ones or the cloud's; `None` for a mesh without observed
+    /// points.
     pub fn points(&self) -> Option<&[DVec3]> {
         match (&self.observed, &self.shape) {
             (Some(observed), _) => Some(observed),
@@ -150,7 +151,7 @@ fn is_sound(p: DVec3) -> bool {
     p.abs().max_element() <= MAX_COORDINATE_M && !p.is_nan()
 }
 
-/// The finite points, and how many are not.
+/// The valid points, and the number of invalid ones.
 fn finite(mut points: Vec<DVec3>) -> Result<(Vec<DVec3>, usize)> {
     let all = points.len();
     points.retain(|&p| is_sound(p));
@@ -163,7 +164,7 @@ fn finite(mut points: Vec<DVec3>) -> Result<(Vec<DVec3>, usize)> {
     }
 }
 
-/// A mesh whose corners are vertices and whose triangles are finite, and how many triangles are not.
+/// Checks that all corners are vertices. Returns the mesh without invalid triangles, and the number of these.
 pub(crate) fn sound(of: &'static str, mut mesh: Mesh) -> Result<(Mesh, usize)> {
     let all = mesh.triangles.len();
     if all == 0 {

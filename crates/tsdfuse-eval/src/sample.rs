@@ -1,4 +1,4 @@
-//! Points on a mesh, spread evenly over its area. Always the same ones for the same mesh.
+//! Samples a mesh: points spread evenly over its area, always the same ones for the same mesh.
 
 mod area;
 mod poisson;
@@ -11,8 +11,8 @@ use area::ByArea;
 pub(crate) use area::corners;
 pub use poisson::poisson_disk;
 
-/// `count` points, one per equal share of the area: in the order of the triangles, within a triangle by Roberts's R2
-/// sequence. None for a mesh without area.
+/// `count` points, one for each equal share of the area, in the order of the triangles; within a triangle they follow Roberts's
+/// R2 sequence. Empty for a mesh without area.
 pub fn uniform(mesh: &Mesh, count: usize) -> Vec<DVec3> {
     let area = ByArea::of(mesh);
     (0..count)
@@ -21,7 +21,7 @@ pub fn uniform(mesh: &Mesh, count: usize) -> Vec<DVec3> {
         .collect()
 }
 
-/// The area of a mesh, m²; triangles that are not finite count nothing.
+/// The area of a mesh, m², without triangles that are not finite.
 pub fn area_m2(mesh: &Mesh) -> f64 {
     ByArea::of(mesh).total_m2()
 }

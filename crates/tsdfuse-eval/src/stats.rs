@@ -1,33 +1,33 @@
-//! What many distances come to.
+//! Statistics of distances.
 
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// What a set of distances comes to, metres.
+/// Statistics of a set of distances, metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stats {
-    /// How many distances.
+    /// The number of distances.
     pub count: usize,
     /// The average distance (thesis 7.4).
     pub mean_m: f64,
-    /// Standard deviation around it, of the whole set (divided by the count).
+    /// The standard deviation of the whole set (divided by the count, not by one less).
     pub std_m: f64,
-    /// Root of the mean square.
+    /// The root mean square.
     pub rmse_m: f64,
-    /// Half of the distances are at most this. Percentiles are interpolated linearly between neighbours.
+    /// The median. This and the percentiles are interpolated linearly between neighbours.
     pub median_m: f64,
-    /// 90 of 100 are at most this.
+    /// The 90th percentile.
     pub p90_m: f64,
-    /// 95 of 100.
+    /// The 95th percentile.
     pub p95_m: f64,
-    /// 99 of 100.
+    /// The 99th percentile.
     pub p99_m: f64,
-    /// The largest: the one-sided Hausdorff distance (thesis 7.3).
+    /// The largest distance: the one-sided Hausdorff distance (thesis 7.3).
     pub max_m: f64,
 }
 
 impl Stats {
-    /// Sums up distances; `None` of none.
+    /// The statistics of these distances; `None` if there are none.
     pub fn of(distances_m: &[f64]) -> Option<Self> {
         let mut sorted = distances_m.to_vec();
         sorted.par_sort_unstable_by(f64::total_cmp);
@@ -48,7 +48,7 @@ impl Stats {
     }
 }
 
-/// Between the neighbours of rank `share · (n − 1)`, linearly: as numpy does.
+/// The value at rank `share · (n − 1)`, interpolated linearly between its neighbours, as in NumPy.
 fn percentile(sorted: &[f64], share: f64) -> f64 {
     let rank = share * (sorted.len() - 1) as f64;
     let (low, high) = (sorted[rank.floor() as usize], sorted[rank.ceil() as usize]);
@@ -64,7 +64,7 @@ pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     sorted.get(middle).copied().unwrap_or(f64::NAN)
 }
 
-/// A sum whose order of additions does not depend on threads.
+/// A sum whose order of additions does not depend on the number of threads.
 fn sum(values: &[f64], term: impl Fn(f64) -> f64 + Sync) -> f64 {
     let parts: Vec<f64> = values
         .par_chunks(1 << 14)
@@ -73,20 +73,20 @@ fn sum(values: &[f64], term: impl Fn(f64) -> f64 + Sync) -> f64 {
     parts.iter().sum()
 }
 
-/// The share of the distances that are at most `threshold_m`; 0 of none.
+/// The share of the distances that are at most `threshold_m`; 0 if there are none.
 pub fn share_within(distances_m: &[f64], threshold_m: f64) -> f64 {
     let within = distances_m.par_iter().filter(|&&d| d <= threshold_m).count();
     within as f64 / distances_m.len().max(1) as f64
 }
 
-/// How many distances lie in each of many equal bins from 0 upwards.
+/// The numbers of distances in equal bins from 0 upwards.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Histogram {
-    /// Width of a bin, metres: bin `i` covers `[i, i + 1) · bin_m`.
+    /// The width of a bin, metres; bin `i` covers `[i, i + 1) · bin_m`.
     pub bin_m: f64,
-    /// Distances in each bin.
+    /// The number of distances in each bin.
     pub counts: Vec<u64>,
-    /// Distances beyond the last bin.
+    /// The number of distances beyond the last bin.
     pub beyond: u64,
 }
 
@@ -99,7 +99,7 @@ impl Histogram {
             beyond: 0,
         };
         for d in distances_m {
-            // A cast saturates.
+            // The cast saturates.
             match histogram.counts.get_mut((d / bin_m) as usize) {
                 Some(count) => *count += 1,
                 None => histogram.beyond += 1,

@@ -1,12 +1,12 @@
-//! One point for each voxel, as Open3D's `voxel_down_sample` makes it.
+//! Down-sampling to one point per voxel, like Open3D's `voxel_down_sample`.
 
 use rayon::prelude::*;
 use tsdfuse::glam::DVec3;
 
 use crate::bounds::Bounds;
 
-/// The mean of the points of each voxel, in the order of the voxels. The grid starts half a voxel below the least
-/// coordinates, as Open3D's.
+/// The mean of the points of each voxel, in the order of the voxels. The grid starts half a voxel below the
+/// smallest coordinates, as in Open3D.
 pub(crate) fn down_sample(points: &[DVec3], voxel_m: f64) -> Vec<DVec3> {
     let Some(bounds) = Bounds::of(points) else {
         return Vec::new();

@@ -1,11 +1,11 @@
-//! What is tuned on the CPU, as constants of kernels.
+//! The tuning constants of the CPU's methods, as constants of the kernels.
 
 use std::fmt::Debug;
 use std::sync::LazyLock;
 
 use tsdfuse::fuse::twin;
 
-/// Names as in [`twin`]; of pairs, one name each.
+/// Names are those of [`twin`]; the two values of a pair have names of their own.
 pub(crate) static CONSTANTS: LazyLock<String> = LazyLock::new(|| {
     fn text<T: Debug>(kind: &str, list: &[(&str, T)]) -> String {
         let line = |(name, value): &(&str, T)| format!("const {name}: {kind} = {value:?};\n");

@@ -1,5 +1,5 @@
-//! What both sides must agree on, checked without a GPU: kernels are parsed as the driver's compiler would, and their
-//! structs and constants compared with those of the host and of the CPU's map.
+//! Tests, which need no GPU, of what host and kernels must agree on: kernels are parsed, and their structs and constants are
+//! compared with those of the host and of the CPU's map.
 
 use std::mem::offset_of;
 
@@ -24,6 +24,7 @@ use crate::{
     scratch::Scratch,
     shader::{ANGLES, FIND_SURFACE, FRAME, GATHER, KEEP, LINES, Paging, RENDER, SURFACE, WRITE_MESH, source},
     surface::Params,
+    sweep::Segment,
 };
 
 const PAGING: Paging = Paging { pages: 3, shift: 5 };
@@ -58,7 +59,7 @@ fn members(module: &Module, name: &str) -> Vec<(String, usize)> {
         .collect()
 }
 
-/// The value of a constant, as it stands in the source.
+/// The value of a constant in the source.
 fn constant(source: &str, name: &str) -> f64 {
     let head = format!("const {name}: ");
     let line = source.lines().find(|line| line.starts_with(&head));
@@ -89,9 +90,9 @@ macro_rules! layout {
 }
 
 fn frame_layout() -> Vec<(String, usize)> {
-    layout!(Frame: world_x mode world_y first world_z count anchor_voxel stamp anchor_fraction voxels_per_m turn_axis
-        turn_rate velocity truncation_vox max_weight_sum heavy_sum times_at rings_at rings columns max_range_m min_dot
-        total window_m noise_m step_m max_gap_m column_rad columns_per_rad gaps_at nearest_at towards_at top per_pitch camera)
+    layout!(Frame: world_x mode world_y first world_z count anchor_voxel stamp anchor_fraction voxels_per_m
+        truncation_vox max_weight_sum heavy_sum times_at segments_at segments rings_at rings columns max_range_m min_dot
+        total window_m noise_m step_m max_gap_m column_rad columns_per_rad gaps_at nearest_at towards_at top per_pitch pad camera)
 }
 
 #[test]
@@ -99,10 +100,10 @@ fn frames_have_one_layout() {
     let source = source(PAGING, &[FRAME, KEEP]);
     assert_eq!(members(&parse(&source), "Frame"), frame_layout());
     assert_eq!(frame_layout().last().unwrap().1 + 16, size_of::<Frame>());
-    // And the comparison sees two fields that changed places.
+    // The comparison detects two swapped fields.
     let swapped = source
-        .replace("turn_rate: f32", "x: f32")
-        .replace("truncation_vox: f32", "turn_rate: f32");
+        .replace("voxels_per_m: f32", "x: f32")
+        .replace("truncation_vox: f32", "voxels_per_m: f32");
     let swapped = swapped.replace(" x: f32,", " truncation_vox: f32,");
     assert_ne!(members(&parse(&swapped), "Frame"), frame_layout());
 }
@@ -114,6 +115,23 @@ fn parameters_have_one_layout() {
         members(&parse(&source(PAGING, &[SURFACE, FIND_SURFACE])), "Surface"),
         want
     );
+}
+
+#[test]
+fn segments_have_one_layout() {
+    let source = source(PAGING, &[FRAME, KEEP]);
+    for (name, offset) in [
+        ("UNTIL_SECS", offset_of!(Segment, until_secs)),
+        ("FROM_SECS", offset_of!(Segment, from_secs)),
+        ("TURN_RATE", offset_of!(Segment, turn_rate)),
+        ("SHIFT", offset_of!(Segment, shift)),
+        ("VELOCITY", offset_of!(Segment, velocity)),
+        ("TURN_AXIS", offset_of!(Segment, turn_axis)),
+        ("ROTATION", offset_of!(Segment, rotation)),
+        ("SEGMENT_WORDS", size_of::<Segment>()),
+    ] {
+        assert_eq!(4.0 * constant(&source, name), offset as f64, "{name}");
+    }
 }
 
 #[test]
@@ -151,7 +169,7 @@ fn the_state_has_one_layout() {
     );
     let list = state_list_stride();
     assert_eq!(u64::from(list), Header::ENTRY);
-    // Each counter is read from where it is written.
+    // Each counter is read from the offset that it is written to.
     let words: Vec<u8> = (1_u32..=10).flat_map(u32::to_le_bytes).collect();
     let header = Header::parse(&words);
     let named = [

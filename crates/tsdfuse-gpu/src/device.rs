@@ -300,7 +300,7 @@ fn one_line(text: &str) -> String {
 pub(crate) mod tests {
     use super::*;
     use crate::{DeviceMap, Fuser, PoolConfig};
-    use tsdfuse::{MapConfig, Scan, fuse::Method, glam::Vec3};
+    use tsdfuse::{MapConfig, Pose, Scan, fuse::Method, glam::Vec3};
 
     /// A device of its own for each test; `None` where there is none and none is required.
     pub(crate) fn gpu() -> Option<Gpu> {
@@ -319,7 +319,7 @@ pub(crate) mod tests {
         let mut fuser = Fuser::new(map, Method::Raycast, &Default::default(), None).unwrap();
         let scan = Scan {
             points: vec![Vec3::X; 9],
-            pose: Some(tsdfuse::Pose::IDENTITY),
+            pose: Some(Pose::IDENTITY),
             ..Default::default()
         };
         fuser.integrate(&scan).unwrap();

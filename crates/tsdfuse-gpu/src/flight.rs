@@ -1,4 +1,4 @@
-//! A scan on its way through the device: its returns, what kernels are told of it, and what they count.
+//! A scan in flight: its returns, the parameters of its dispatches, and what its kernels count.
 
 use std::sync::{
     Arc,
@@ -14,12 +14,12 @@ use crate::frame::Frame;
 use crate::map::{Header, index_of};
 use crate::scratch::Scratch;
 
-/// The buffers of one scan, kept from scan to scan.
+/// The buffers of one scan, reused for later scans.
 #[derive(Debug)]
 pub(crate) struct Flight {
-    /// What to call the scan in messages.
+    /// The scan's name in messages.
     pub(crate) name: String,
-    /// Where frames and returns are written by the host, and the same on the device.
+    /// Frames and returns: the buffer that the host writes, and its copy on the device.
     staging: wgpu::Buffer,
     pub(crate) data: wgpu::Buffer,
     /// The map's counters after the scan and the first part of the list of updated blocks, for the host to read.
@@ -28,33 +28,33 @@ pub(crate) struct Flight {
     rest: Option<wgpu::Buffer>,
     pub(crate) bind_group: wgpu::BindGroup,
     pub(crate) scratch: Scratch,
-    /// Where the returns begin in `data`, and where they end.
+    /// The used bytes of `data`.
     bytes: u64,
-    /// Where each dispatch finds its frame.
+    /// One frame for each dispatch.
     pub(crate) frames: Vec<Frame>,
-    /// Callbacks that are outstanding.
+    /// How many callbacks are outstanding.
     pending: Arc<AtomicUsize>,
     submission: Option<wgpu::SubmissionIndex>,
 }
 
-/// What a scan brings along.
+/// The contents of a new flight.
 #[derive(Clone, Copy)]
 pub(crate) struct Parcel<'a> {
     pub(crate) name: &'a str,
     /// The columns of its returns.
     pub(crate) columns: &'a [&'a [u8]],
-    /// What its kernels leave to each other.
+    /// The buffers through which its kernels pass data to later ones.
     pub(crate) scratch: &'a Scratch,
     /// How many updated blocks the host expects at most. If there are more, they are read back later, which takes longer.
     pub(crate) most_updated: u32,
 }
 
-/// Frames are this far apart: what all devices can bind.
+/// Bytes from one frame to the next: an alignment that every device supports.
 pub(crate) const FRAME_STRIDE: u64 = 256;
 const _: () = assert!(size_of::<Frame>() as u64 <= FRAME_STRIDE);
 
 impl Flight {
-    /// Takes a scan and its frames, one for each dispatch. The old one's buffers are used if they are large enough.
+    /// Loads a scan and its frames, one for each dispatch. Reuses the buffers of an old flight if they are large enough.
     pub(crate) fn load(
         old: Option<Self>,
         gpu: &Gpu,
@@ -69,7 +69,7 @@ impl Flight {
             most_updated,
         } = *parcel;
         let returns_at = FRAME_STRIDE * frames.len().max(1) as u64;
-        // Whole words.
+        // Rounded up to whole words.
         let returns = columns.iter().map(|c| c.len() as u64).sum::<u64>().next_multiple_of(4);
         let bytes = returns_at + returns.max(4);
         if bytes > gpu.binding_limit() {
@@ -174,12 +174,12 @@ impl Flight {
         };
         self.counts.map_async(wgpu::MapMode::Read, .., called(&self.pending));
         if is_first {
-            // For the next scan.
+            // So that the next scan can be written.
             self.staging.map_async(wgpu::MapMode::Write, .., called(&self.pending));
         }
     }
 
-    /// Waits until the scan has passed; returns the counters after it, and the blocks that it updated, sorted, if no flag is
+    /// Waits until the scan is done; returns the counters after it, and the blocks that it updated, sorted, if no flag is
     /// set.
     pub(crate) fn wait(&self, gpu: &Gpu) -> Result<(Header, Vec<BlockIndex>), GpuError> {
         while self.pending.load(Ordering::Acquire) > 0 {

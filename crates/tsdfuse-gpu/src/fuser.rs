@@ -20,10 +20,10 @@ use crate::prepared::{Prepared, pieces};
 use crate::scratch::Scratch;
 use crate::shader::{Binding, FRAME, KEEP, source};
 
-/// What became of a scan.
+/// The result of fusing one scan.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Fused {
-    /// Its name.
+    /// The scan's name.
     pub name: String,
     /// The blocks that were created or updated, sorted.
     pub updated_blocks: Vec<BlockIndex>,
@@ -35,40 +35,41 @@ pub struct Fused {
 
 /// Fuses scans into a [`DeviceMap`].
 ///
-/// Uploads, kernels and the CPU's share of the work overlap: a scan is reported a few scans after it was given.
+/// Uploads, kernels and the CPU's share of the work overlap, so a scan is reported a few calls after it was submitted.
 #[derive(Debug)]
 pub struct Fuser {
     map: DeviceMap,
     prepare: Prepare,
-    /// Once a scan; for each piece of it; and once more.
+    /// Run once a scan, first; then come the kernels that run for each piece of it.
     before: Vec<Kernel>,
     allocate: Kernel,
     fuse: Kernel,
     limit_weights: Kernel,
+    /// Run once a scan, last.
     after: Vec<Kernel>,
     layout: wgpu::BindGroupLayout,
     scratch: Scratch,
-    /// Sent, the oldest first.
+    /// Scans in flight, the oldest first.
     flights: VecDeque<Sent>,
     idle: Vec<Flight>,
     /// The most updated blocks that the next scan is expected to have.
     most_updated: u32,
-    /// To be reported.
+    /// Results that the caller has not received yet.
     done: Vec<Fused>,
 }
 
-/// A kernel, compiled.
+/// A compiled kernel.
 #[derive(Debug)]
 struct Kernel {
     step: Step,
     pipeline: wgpu::ComputePipeline,
 }
 
-/// A scan that is under way.
+/// A scan in flight.
 #[derive(Debug)]
 struct Sent {
     flight: Flight,
-    /// The number of scans with it.
+    /// The number of scans in the map, including this one.
     integrations: u32,
 }
 
@@ -78,20 +79,20 @@ const FIRST_MOST_UPDATED: u32 = 512;
 /// No scan is expected to update more blocks than this: 16 MiB of list.
 const LARGEST_MOST_UPDATED: u32 = 1 << 20;
 
-/// Scans that are under way at most.
+/// The most scans in flight.
 const IN_FLIGHT: usize = 4;
 
-/// Returns that one dispatch takes at most: 65 535 workgroups, which every device can do, for three threads a return.
+/// The most returns of one dispatch: 65 535 workgroups, which every device supports, with three threads per return.
 const MOST_RETURNS: usize = 21_845 * WORKGROUP as usize;
 
-/// A voxel's sums fit 32 bits if its weight stays below this.
+/// A voxel's sums fit into 32 bits as long as its weight stays below this.
 const MOST_WEIGHT: f32 = 65_535.0;
 
 impl Fuser {
-    /// Fuses into `map` by a method; `sensor` is the sensor's model, where it is known.
+    /// Prepares a method to fuse into `map`; `sensor` is the sensor's model, if known.
     ///
     /// # Errors
-    /// [`GpuError::Unsupported`] for a method that does not run on the device.
+    /// [`GpuError::Unsupported`] if the method does not run on the device.
     pub fn new(
         map: DeviceMap,
         method: Method,
@@ -142,12 +143,12 @@ impl Fuser {
         })
     }
 
-    /// Fuses a scan, and tells what became of one or more of those before, if that is known by now.
+    /// Submits a scan, and returns the results of earlier scans that have finished since the last call.
     ///
     /// # Errors
-    /// [`GpuError::Fuse`] if the scan cannot be fused: the map is unchanged then, and others can follow. All else is the
-    /// device's trouble, and scans that were not reported by then are not fused; unless it is [`GpuError::Lost`],
-    /// [`Self::map`] still has the others.
+    /// If [`GpuError::is_bad_scan`], this scan cannot be fused: the map is unchanged, and further scans can follow. Any other
+    /// error concerns the device, and the scans that were in flight are not fused; a later call still returns results that
+    /// were ready before. Unless the error is [`GpuError::Lost`], [`Self::map`] holds all scans that were reported.
     pub fn integrate(&mut self, scan: &Scan) -> Result<Vec<Fused>, GpuError> {
         scan.check().map_err(FuseError::from)?;
         while self.flights.len() >= IN_FLIGHT {
@@ -177,7 +178,7 @@ impl Fuser {
         Ok(std::mem::take(&mut self.done))
     }
 
-    /// Waits for all scans, and tells what became of those that were not reported yet.
+    /// Waits for all scans in flight, and returns the results that were not returned yet.
     ///
     /// # Errors
     /// As [`Self::integrate`].
@@ -188,12 +189,12 @@ impl Fuser {
         Ok(std::mem::take(&mut self.done))
     }
 
-    /// The map; scans that are under way may be in it or not.
+    /// The map; it may or may not contain the scans in flight.
     pub fn map(&self) -> &DeviceMap {
         &self.map
     }
 
-    /// The map, once all scans are in it.
+    /// Waits for all scans in flight, and returns the map.
     ///
     /// # Errors
     /// As [`Self::integrate`].
@@ -202,13 +203,13 @@ impl Fuser {
         Ok(self.map)
     }
 
-    /// What kernels leave to each other.
+    /// The buffers through which kernels pass data to later ones.
     #[cfg(test)]
     pub(crate) fn scratch(&self) -> &[wgpu::Buffer] {
         self.scratch.buffers()
     }
 
-    /// Sends a scan's kernels; its returns only the first time.
+    /// Submits a scan's kernels, and its returns if it is submitted for the first time.
     fn send(&self, flight: &mut Flight, is_first: bool) {
         let gpu = &self.map.gpu;
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
@@ -230,7 +231,7 @@ impl Fuser {
                 record(&mut gpu.pass(&mut encoder, kernel.step.name), kernel, piece);
             }
         } else {
-            // Recorded faster than a pass for each; kernels wait for the one before all the same.
+            // One pass is recorded faster than one per kernel; each kernel still waits for the one before it.
             let mut pass = gpu.pass(&mut encoder, "a scan");
             self.in_order(&flight.frames)
                 .for_each(|(kernel, piece)| record(&mut pass, kernel, piece));
@@ -238,7 +239,7 @@ impl Fuser {
         flight.submit(gpu, encoder, self.map.state(), is_first);
     }
 
-    /// The kernels of a scan, each with its frame and where that begins.
+    /// The kernels of a scan in order, each with its frame and the frame's offset.
     fn in_order<'a>(&'a self, frames: &'a [Frame]) -> impl Iterator<Item = (&'a Kernel, (u32, &'a Frame))> {
         let pieces = (0..).step_by(FRAME_STRIDE as usize).zip(frames);
         let once = |kernels: &'a [Kernel]| {
@@ -256,7 +257,7 @@ impl Fuser {
         once(&self.before).chain(each).chain(once(&self.after))
     }
 
-    /// Waits for the oldest scan. If there was no room for it, makes some and repeats all scans since.
+    /// Waits for the oldest scan in flight. If it did not fit, grows the map and repeats all scans in flight.
     fn finish_one(&mut self) -> Result<(), GpuError> {
         while let Some(first) = self.flights.front() {
             let (header, updated_blocks) = first.flight.wait(&self.map.gpu)?;
@@ -309,16 +310,16 @@ impl Fuser {
     }
 }
 
-/// What each dispatch is told: first those that make blocks, then those that update.
+/// The frames of a scan's dispatches: first those that create blocks, then those that update voxels.
 fn frames(prepared: &Prepared<'_>, map: &VoxelMap, stamp: u32, by_block: bool) -> Result<Vec<Frame>, GpuError> {
     let (all, weights) = (prepared.items, &prepared.weights);
     let mut frame = Frame::of(prepared.scan, map)?;
     frame.stamp = stamp;
     prepared.place_columns(&mut frame);
-    // No voxel's sums may overflow before its weight is limited again.
+    // The sums of a voxel must not overflow before its weight is limited again.
     let room = MOST_WEIGHT - map.config().max_weight;
     let most: f32 = weights.iter().sum::<f32>().min(room);
-    // Of a return, up to nine updates are rounded to half a unit.
+    // Each return makes up to nine updates, each rounded by at most half a unit.
     let most_sum = ((most * WEIGHT_SCALE as f32).ceil() as u32).saturating_add(5 * all as u32);
     frame.heavy_sum = frame.max_weight_sum.saturating_sub(most_sum);
     let frame = |mode, piece: Range<usize>| Frame {

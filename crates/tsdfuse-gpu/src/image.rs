@@ -1,7 +1,7 @@
-//! The device's images of scans, against the CPU's: which return each cell or pixel has.
+//! Tests of the device's images of scans against the CPU's: which return each cell or pixel holds.
 
 use tsdfuse::{
-    MapConfig, Scan, SensorModel, VoxelMap,
+    MapConfig, Pose, Scan, SensorModel, VoxelMap,
     fuse::{FuseConfig, Method, twin},
     glam::Vec3,
     scan::PoseAt,
@@ -16,12 +16,12 @@ const POOL: PoolConfig = PoolConfig {
     pages: 1,
 };
 
-/// What became of a scan, and what its kernels left in a buffer.
+/// The result of a scan, and the contents of a buffer after its kernels.
 fn left(scan: &Scan, method: Method, sensor: Option<&SensorModel>, buffer: usize) -> Option<(Fused, Vec<u32>)> {
     let gpu = gpu()?;
     let map = DeviceMap::new(&gpu, MapConfig::default(), POOL).unwrap();
     let mut fuser = Fuser::new(map, method, &FuseConfig::default(), sensor).unwrap();
-    // Nothing is left of the scan before.
+    // Nothing of the scan before must remain.
     let other = Scan {
         points: scan.points.iter().map(|p| *p * Vec3::new(1.0, -1.0, 1.0)).collect(),
         ..scan.clone()
@@ -34,7 +34,7 @@ fn left(scan: &Scan, method: Method, sensor: Option<&SensorModel>, buffer: usize
     Some((done.pop().unwrap(), words(&bytes).collect()))
 }
 
-/// Asserts that a scan had the same fate on the device as on the CPU.
+/// Asserts that the returns of a scan are counted as on the CPU.
 fn assert_fate(done: &Fused, scan: &Scan, method: Method, sensor: Option<&SensorModel>) {
     let mut map = VoxelMap::new(MapConfig::default()).unwrap();
     let mut integrator = method.build(&FuseConfig::default(), sensor);
@@ -43,7 +43,7 @@ fn assert_fate(done: &Fused, scan: &Scan, method: Method, sensor: Option<&Sensor
     assert!(want.skipped.hidden > 1000 && want.skipped.outside_image > 3, "{want:?}");
 }
 
-/// Asserts that entries are the same but for a few, and that the comparison sees them move by one.
+/// Asserts that all but a few entries are equal, and that the comparison would detect a shift by one entry.
 fn assert_same(want: &[u32], got: &[u32], none: u32, what: &str) {
     let differing = |got: &[u32]| want.iter().zip(got).filter(|(a, b)| a != b).count();
     let filled = want.iter().filter(|entry| **entry != none).count();
@@ -53,7 +53,7 @@ fn assert_same(want: &[u32], got: &[u32], none: u32, what: &str) {
     assert!(differing(&got[1..]) > filled / 2);
 }
 
-/// A turn of a sensor whose rings have phases of their own; azimuths are rounded down to steps.
+/// One turn of a sensor whose rings have different phases; azimuths are rounded down to steps.
 fn turn(sensor: &SensorModel, steps: f32) -> Scan {
     let firings = sensor.rings() * sensor.columns as usize;
     let of_firing = |i: usize| {
@@ -73,7 +73,7 @@ fn turn(sensor: &SensorModel, steps: f32) -> Scan {
     Scan {
         points,
         rings: Some(rings),
-        pose: Some(tsdfuse::Pose::IDENTITY),
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     }
 }
@@ -110,7 +110,7 @@ fn cells_are_the_cpus() {
     }
 }
 
-/// Points in front of one half of the scan's, behind another, and at the same places; and some that are none.
+/// Adds points in front of a third of the scan's points, behind another third and at the rest; and some invalid ones.
 fn crowd(mut scan: Scan) -> Scan {
     let beside = |(i, p): (usize, &Vec3)| *p * [0.5, 1.0, 2.0][i % 3];
     scan.points.extend(scan.points.clone().iter().enumerate().map(beside));
@@ -128,7 +128,7 @@ fn pixels_of_cylindrical_images_have_the_cpus_returns() {
         let time = |i: usize| if i % 1000 == 7 { f32::NAN } else { 1e-6 * i as f32 };
         scan.times = Some((0..scan.points.len()).map(time).collect());
         scan.motion = vec![PoseAt {
-            pose: tsdfuse::Pose {
+            pose: Pose {
                 translation: tsdfuse::glam::DVec3::X,
                 ..Default::default()
             },
@@ -168,8 +168,8 @@ fn depths_of_pixels_are_the_cpus() {
     };
     let scan = crowd(Scan {
         points: (0..20_000).map(point).collect(),
+        pose: Some(Pose::IDENTITY),
         camera: Some(camera),
-        pose: Some(tsdfuse::Pose::IDENTITY),
         ..Default::default()
     });
     let mut image = DepthImage::default();

@@ -1,4 +1,4 @@
-//! The kernels of a method, in the order in which a scan goes through them.
+//! The kernels of each method, in the order in which they run.
 
 use crate::constants::CONSTANTS;
 use crate::frame::Frame;
@@ -7,26 +7,26 @@ use crate::shader::{
     PIXELS, PLANES,
 };
 
-/// A kernel, and how much of it runs.
+/// A kernel, and how many of its workgroups run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Step {
-    /// What timelines call it.
+    /// Its name in timelines.
     pub(crate) name: &'static str,
     /// Its name in the source.
     pub(crate) entry: &'static str,
     pub(crate) work: Work,
 }
 
-/// What a kernel has threads or workgroups for.
+/// What determines the number of workgroups of a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
-    /// So many threads for each return (or pixel) of a dispatch.
+    /// This many threads for each return (or pixel) of a dispatch.
     Returns(u32),
-    /// Threads that take returns of the whole scan in turns.
+    /// Threads that share the returns of the whole scan.
     Scan,
-    /// Threads that take cells of the organized image in turns.
+    /// Threads that share the cells of the organized image.
     Cells,
-    /// Workgroups that take blocks in turns.
+    /// Workgroups that share the blocks of the map.
     Blocks,
     /// One workgroup.
     Once,
@@ -35,11 +35,11 @@ pub(crate) enum Work {
 /// Threads in a workgroup.
 pub(crate) const WORKGROUP: u32 = 64;
 
-/// Workgroups that take things in turns.
+/// The most workgroups of a kernel that loops over its work.
 const IN_TURNS: u32 = 4096;
 
 impl Work {
-    /// Workgroups for a frame, and a map with room for so many blocks.
+    /// Workgroups for a frame and a map of this capacity.
     pub(crate) fn workgroups(self, frame: &Frame, capacity: u32) -> u32 {
         match self {
             Self::Returns(threads) => threads * frame.count.div_ceil(WORKGROUP),
@@ -56,20 +56,20 @@ impl Work {
 pub(crate) struct Kernels {
     /// Their source.
     pub(crate) parts: Vec<&'static str>,
-    /// What comes before all others, once a scan.
+    /// Run once a scan, before all others.
     pub(crate) before: Vec<Step>,
-    /// Makes blocks.
+    /// Creates blocks.
     pub(crate) allocate: Step,
     /// Updates them.
     pub(crate) fuse: Step,
-    /// What comes after all others, once a scan.
+    /// Run once a scan, after all others.
     pub(crate) after: Vec<Step>,
 }
 
 impl Kernels {
-    /// Those that walk along lines, so many threads a return.
+    /// Methods that walk along lines, with this many threads per return.
     fn lines(threads: u32, parts: &[&'static str]) -> Self {
-        // One kernel does both, so that both see the very same voxels.
+        // One kernel does both, so both see exactly the same voxels.
         let step = |name| Step {
             name,
             entry: "fuse",
@@ -84,12 +84,12 @@ impl Kernels {
         }
     }
 
-    /// One line a return.
+    /// Methods with one line per return.
     pub(crate) fn one_line(parts: &[&'static str]) -> Self {
         Self::lines(1, &[&[ONE_LINE], parts].concat())
     }
 
-    /// Those of depth images.
+    /// Depth images.
     pub(crate) fn depth() -> Self {
         Self {
             parts: vec![FRAME, PIXELS, DEPTH],
@@ -106,7 +106,7 @@ impl Kernels {
         }
     }
 
-    /// Those of cylindrical images.
+    /// Cylindrical images.
     pub(crate) fn cylindrical() -> Self {
         Self {
             before: vec![
@@ -119,7 +119,7 @@ impl Kernels {
         }
     }
 
-    /// Those of local normals.
+    /// Local normals.
     pub(crate) fn normals() -> Self {
         Self {
             before: image(),
@@ -127,7 +127,7 @@ impl Kernels {
         }
     }
 
-    /// Those of surface patches, where noise is estimated and free space erases, or not.
+    /// Surface patches, with or without estimating noise and erasing free space.
     pub(crate) fn patch(estimates_noise: bool, carves: bool) -> Self {
         let mut before = image();
         if estimates_noise {
@@ -142,7 +142,7 @@ impl Kernels {
     }
 }
 
-/// A kernel that has the same name everywhere.
+/// A kernel whose name in timelines is its name in the source.
 const fn step(name: &'static str, work: Work) -> Step {
     Step {
         name,
@@ -151,7 +151,7 @@ const fn step(name: &'static str, work: Work) -> Step {
     }
 }
 
-/// Those that make the organized image.
+/// The kernels that make the organized image.
 fn image() -> Vec<Step> {
     vec![
         step("find_azimuths", Work::Scan),
@@ -163,5 +163,5 @@ fn image() -> Vec<Step> {
     ]
 }
 
-/// Limits the weights of what a scan updated.
+/// Limits the weights of the blocks that a scan updated.
 pub(crate) const LIMIT_WEIGHTS: Step = step("limit_weights", Work::Blocks);

@@ -9,11 +9,11 @@
 //! let map = DeviceMap::new(&gpu, MapConfig::default(), Default::default())?;
 //! let mut fuser = Fuser::new(map, Method::Raycast, &Default::default(), None)?;
 //! # let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(1.0, 0.02 * y as f32, 0.02 * z as f32)));
-//! # let scans = [Scan { points: points.collect(), pose: Some(tsdfuse::Pose::IDENTITY), ..Default::default() }];
+//! # let scans = [Scan { points: points.collect(), pose: Some(Default::default()), ..Default::default() }];
 //!
 //! for scan in &scans {
 //!     for done in fuser.integrate(scan)? {
-//!         println!("{}: {} returns", done.name, done.fused_returns); // of a scan some scans ago
+//!         println!("{}: {} returns", done.name, done.fused_returns); // a scan submitted a few calls ago
 //!     }
 //! }
 //! let map = fuser.into_map()?; // waits
@@ -23,15 +23,18 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The types to know: [`Gpu`], [`DeviceMap`] (the map there, which comes from and goes to a [`VoxelMap`](tsdfuse::VoxelMap)
-//! exactly), [`Fuser`], [`Mesher`], [`Renderer`].
+//! The main types: [`Gpu`], [`DeviceMap`] (the map on the device; conversion from and to a [`VoxelMap`](tsdfuse::VoxelMap) is
+//! exact), [`Fuser`], [`Mesher`], [`Renderer`].
 //!
-//! **The same bits** on one device, however the scans are scheduled, however often the map had to grow: what is added are
-//! integers. Between devices, and between a device and the CPU, a few voxels in a hundred thousand differ, since compilers of
-//! kernels may reorder operations on floats; `docs/gpu.md` has figures.
+//! **Results are deterministic** on one device: sums are integers, so neither the scheduling of the scans nor the growth of the
+//! map changes a bit. Between devices, and between a device and the CPU, a few voxels in a hundred thousand differ, since
+//! shader compilers may reorder floating-point operations; `docs/gpu.md` has figures.
 //!
-//! **Nothing is lost.** A map that is full grows, and scans under way are repeated. A device that is full says so, and its map
-//! still has the scans before.
+//! **Nothing is lost.** When the map is full, it grows, and the scans in flight are repeated. When the device is full, an error
+//! says so, and its map still holds the scans reported before.
+//!
+//! **A copy can follow.** Each scan reports the blocks that it updated ([`Fused::updated_blocks`]), and
+//! [`DeviceMap::download_blocks`] fetches chosen blocks.
 
 mod constants;
 #[cfg(test)]
@@ -53,6 +56,7 @@ mod render;
 mod scratch;
 mod shader;
 mod surface;
+mod sweep;
 mod timeline;
 
 pub use device::{Gpu, quiet_variable};

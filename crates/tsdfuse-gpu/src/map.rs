@@ -1,15 +1,15 @@
-//! The map on the device: the same blocks and the same integers as a [`VoxelMap`], in buffers.
+//! The map on the device: buffers with the same blocks and the same integers as a [`VoxelMap`].
 //!
 //! ```text
-//!   table    4 words an entry: a block's coordinates, its slot + 1                (5.1), open addressing
-//!   blocks   4 words a slot:   the block's coordinates, the scan that updated it last
-//!   pool     4096 bytes a slot: 512 voxels of two sums; in pages of one buffer each, since a binding holds only so much
-//!   state    counters (`Header`) and sizes, 13 words, then a list of the blocks that the last scan updated
+//!   table    4 words per entry: a block's coordinates, its slot + 1               (5.1), open addressing
+//!   blocks   4 words per slot:  the block's coordinates, the last scan that updated it
+//!   pool     4096 bytes per slot: 512 voxels of two sums; split into pages of one buffer each, since bindings are limited
+//!   state    counters (`Header`) and sizes, 13 words, then the list of blocks that the last scan updated
 //! ```
 //!
-//! Blocks are made on the device, in any order, so slots differ from run to run; sums do not, since integers are added.
-//! A kernel that finds table or pool full raises a flag; from then on kernels do nothing, until the host has seen it, made
-//! room, and repeated the scans since. So nothing is lost, and no scan waits for the host.
+//! The device creates blocks in any order, so slots differ from run to run; sums do not, since they are integers. A kernel that
+//! finds the table or the pool full sets a flag. From then on kernels do nothing until the host has seen the flag, grown the
+//! map, and repeated the scans since. So nothing is lost, and no scan waits for the host.
 
 use std::sync::OnceLock;
 
@@ -25,14 +25,15 @@ use crate::device::Gpu;
 use crate::error::GpuError;
 use crate::shader::{Binding, FIRST_PAGE, FRAME, KEEP, Paging, source};
 
-/// How much of the device a map takes.
+/// How much memory of the device a map takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PoolConfig {
-    /// Blocks that there is room for at first; it doubles whenever it is full.
+    /// The initial capacity in blocks; it doubles whenever the map is full.
     pub first_blocks: u32,
-    /// Blocks in one buffer, rounded down to a power of two and to what a binding of the device holds.
+    /// Blocks per buffer; rounded down to a power of two and to what a binding of the device holds.
     pub page_blocks: u32,
-    /// Buffers at most, and at most 16. Each costs kernels a little, and software devices a lot: these run all branches.
+    /// The most buffers, up to 16. Each slows kernels down: a little on GPUs, a lot on software devices, which run all
+    /// branches.
     pub pages: u32,
 }
 
@@ -50,9 +51,9 @@ impl Default for PoolConfig {
 #[derive(Debug)]
 pub struct DeviceMap {
     pub(crate) gpu: Gpu,
-    /// An empty map: what the configuration means.
+    /// An empty map with the same configuration.
     pub(crate) empty: VoxelMap,
-    /// Scans that were fused so far: see [`VoxelMap::integrations`].
+    /// The number of scans fused so far: see [`VoxelMap::integrations`].
     pub(crate) integrations: u32,
     pub(crate) paging: Paging,
     pub(crate) layout: wgpu::BindGroupLayout,
@@ -63,10 +64,10 @@ pub struct DeviceMap {
     buffers: Buffers,
 }
 
-/// What is replaced when the map grows.
+/// The buffers, which are replaced when the map grows.
 #[derive(Clone, Debug)]
 struct Buffers {
-    /// Blocks that there is room for.
+    /// The capacity in blocks.
     capacity: u32,
     /// Entries of the table, a power of two.
     entries: u32,
@@ -92,11 +93,11 @@ pub(crate) struct Header {
 }
 
 impl Header {
-    /// Its bytes, and those of what follows it before the list.
+    /// Bytes of the counters.
     pub(crate) const BYTES: u64 = 44;
-    /// Where the counters of one scan begin; they end with the header.
+    /// Offset of the counters of the current scan; they end with the header.
     pub(crate) const SCAN: u64 = 8;
-    /// Table mask and capacity come next, then the list.
+    /// Offsets of the table mask and the capacity, and of the list.
     pub(crate) const SIZES: u64 = 44;
     pub(crate) const LIST: u64 = 64;
     /// Bytes of an entry of the list: coordinates and slot.
@@ -119,29 +120,29 @@ impl Header {
     }
 }
 
-/// The pool is full; any other flag: the table is.
+/// The flag of a full pool. The only other flag is that of a full table.
 pub(crate) const POOL_FULL: u32 = 2;
 
 const BLOCK_BYTES: u64 = 8 * BLOCK_VOXELS as u64;
 const RECORD_BYTES: u64 = 16;
 const ENTRY_BYTES: u64 = 16;
 
-/// The stamp of blocks that came from elsewhere: no scan's for billions of scans. Blocks that no scan updated have 0.
+/// The stamp of uploaded blocks, which no scan has for billions of scans. Blocks that no scan has updated have 0.
 const LONG_AGO: u32 = u32::MAX;
 
-/// Most pages: each is a binding.
+/// The most pages; each is a binding.
 const MAX_PAGES: u32 = 16;
 /// Bindings that kernels need beside the pages.
 const OTHER_BINDINGS: u32 = 10;
 
-/// Blocks that are copied at once.
+/// How many blocks are copied at once.
 pub(crate) const BATCH: u32 = 4096;
 
 impl DeviceMap {
-    /// An empty map.
+    /// Creates an empty map.
     ///
     /// # Errors
-    /// [`GpuError`] if the configuration makes no sense or the device has too little memory.
+    /// [`GpuError`] if the configuration is invalid or the device has too little memory.
     pub fn new(gpu: &Gpu, config: MapConfig, pool: PoolConfig) -> Result<Self, GpuError> {
         let empty = VoxelMap::new(config)?;
         let page_limit = (gpu.binding_limit() / BLOCK_BYTES)
@@ -179,7 +180,7 @@ impl DeviceMap {
         Ok(map)
     }
 
-    /// Puts a map on the device.
+    /// Copies a map to the device.
     ///
     /// # Errors
     /// [`GpuError`] if the device has too little memory for it.
@@ -210,7 +211,7 @@ impl DeviceMap {
         Ok(device)
     }
 
-    /// The map, as it is on the device.
+    /// Copies the map back from the device.
     ///
     /// # Errors
     /// [`GpuError::Lost`] if the device is gone.
@@ -220,7 +221,7 @@ impl DeviceMap {
         let count = self.block_count()?;
         let mut first = 0;
         while first < count {
-            // Not across the end of a page.
+            // A batch must not cross the end of a page.
             let page_end = (first / self.paging.blocks() + 1) * self.paging.blocks();
             let last = count.min(first + BATCH).min(page_end);
             self.download_some(first, last, &mut map)?;
@@ -248,12 +249,12 @@ impl DeviceMap {
         Ok(())
     }
 
-    /// What the map was made with.
+    /// The map's configuration.
     pub fn config(&self) -> &MapConfig {
         self.empty.config()
     }
 
-    /// How many blocks there are.
+    /// The number of blocks.
     ///
     /// # Errors
     /// [`GpuError::Lost`] if the device is gone.
@@ -261,7 +262,7 @@ impl DeviceMap {
         Ok(self.header()?.blocks.min(self.buffers.capacity))
     }
 
-    /// The blocks, by slot.
+    /// The indices of all blocks, by slot.
     pub(crate) fn indices(&self, blocks: u32) -> Result<Vec<BlockIndex>, GpuError> {
         let records = self
             .gpu
@@ -269,12 +270,12 @@ impl DeviceMap {
         Ok(records.chunks_exact(RECORD_BYTES as usize).map(index_of).collect())
     }
 
-    /// How many blocks there is room for.
+    /// How many blocks fit before the map has to grow.
     pub fn capacity(&self) -> u32 {
         self.buffers.capacity
     }
 
-    /// Bytes of all buffers of the map.
+    /// The size of all buffers of the map, in bytes.
     pub fn memory_bytes(&self) -> u64 {
         let b = &self.buffers;
         [&b.table, &b.blocks, &b.state]
@@ -294,7 +295,7 @@ impl DeviceMap {
         Ok(Header::parse(&bytes))
     }
 
-    /// Makes room after a kernel found none, so that the scan can be repeated. No kernel may be running. On failure the map
+    /// Grows the map after a kernel found it full, so that the scan can be repeated. No kernel may be running. On failure the map
     /// is as before, and kernels continue to do nothing.
     pub(crate) fn make_room(&mut self, header: Header) -> Result<(), GpuError> {
         let blocks = u64::from(self.buffers.capacity);
@@ -310,7 +311,7 @@ impl DeviceMap {
         })
     }
 
-    /// Makes room for at least `wanted` blocks; `have` are there.
+    /// Grows the pool to at least `wanted` blocks, `have` of which exist.
     fn grow_pool(&mut self, wanted: u32, have: u32) -> Result<(), GpuError> {
         let most = self.paging.most_blocks();
         if wanted > most || self.buffers.capacity == most {
@@ -346,7 +347,7 @@ impl DeviceMap {
         Ok(())
     }
 
-    /// Enters all blocks into a table that is empty, and larger ones until all have a place.
+    /// Enters all blocks into an empty table, and into larger ones until all of them fit.
     fn fill_table(&mut self) -> Result<(), GpuError> {
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         let mut pass = self.gpu.pass(&mut encoder, "fill_table");
@@ -371,7 +372,7 @@ impl DeviceMap {
         self.gpu.queue.write_buffer(buffer, at, &bytes);
     }
 
-    /// The page of a slot, and where in it its voxels begin.
+    /// The page of a slot, and the offset of the slot's voxels in it.
     fn place(&self, slot: u32) -> (&wgpu::Buffer, u64) {
         let (page, at) = (slot / self.paging.blocks(), slot % self.paging.blocks());
         (&self.buffers.pages[page as usize], BLOCK_BYTES * u64::from(at))
@@ -398,7 +399,7 @@ impl Buffers {
         })
     }
 
-    /// The same blocks with room for more, and an empty table. Full pages stay where they are.
+    /// The same blocks with a larger capacity and an empty table. Full pages are kept, not copied.
     fn grown(&self, gpu: &Gpu, paging: Paging, capacity: u32) -> Result<Self, GpuError> {
         let mut grown = Self {
             pages: Vec::new(),
@@ -444,7 +445,7 @@ impl Buffers {
 
 const STORED: Usage = Usage::STORAGE.union(Usage::COPY_SRC).union(Usage::COPY_DST);
 
-/// At most half of the table is used, so that blocks are found in few steps.
+/// At most half of the table is used, so that look-ups take few steps.
 fn entries_for(capacity: u32) -> u32 {
     capacity.saturating_mul(2).next_power_of_two().max(64)
 }
@@ -457,7 +458,7 @@ pub(crate) fn words(bytes: &[u8]) -> impl Iterator<Item = u32> {
     bytes.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b))
 }
 
-/// The block whose sums these are.
+/// The block with these sums.
 pub(crate) fn block_of(voxels: &[u8]) -> Block {
     let mut block = Block {
         voxels: [Voxel::default(); BLOCK_VOXELS],

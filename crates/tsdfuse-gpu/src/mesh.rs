@@ -1,12 +1,12 @@
-//! Meshes of maps on the device: marching cubes with shared vertices, as [`tsdfuse::mesh`].
+//! Extracting meshes on the device: marching cubes with shared vertices, like [`tsdfuse::mesh`].
 //!
 //! ```text
-//!   find_surface   one workgroup a block: rows of edges and cells, how many vertices and triangles    ─▶ host
-//!   host           sorts the blocks with surface, sums up                                             ─▶ device
-//!   write_mesh     one workgroup a block with surface: vertices, normals, triangles                   ─▶ host
+//!   find_surface   one workgroup per block: rows of edges and cells, counts of vertices and triangles ─▶ host
+//!   host           sorts the blocks with surface, adds up the counts                                  ─▶ device
+//!   write_mesh     one workgroup per block with surface: vertices, normals, triangles                 ─▶ host
 //! ```
 //!
-//! The host gets 24 bytes a block of the map, and then the mesh. Blocks come in the same order as on the CPU, so the mesh has
+//! The host reads back 24 bytes per block of the map, then the mesh. Blocks have the same order as on the CPU, so the mesh has
 //! the same triangles; positions and normals differ by the rounding of f32.
 
 use rayon::prelude::*;
@@ -23,7 +23,7 @@ use crate::map::DeviceMap;
 use crate::shader::{Binding, SURFACE, WRITE_MESH, source};
 use crate::surface::{BINDINGS, Finder, Params, WORKGROUPS};
 
-/// Extracts meshes from maps on the device; keeps its buffers.
+/// Extracts meshes from maps on the device; reuses its buffers.
 #[derive(Debug)]
 pub struct Mesher {
     finder: Finder,
@@ -45,10 +45,10 @@ const VERTEX_BYTES: u64 = 24;
 const TRIANGLE_BYTES: u64 = 12;
 
 impl Mesher {
-    /// For this map.
+    /// Prepares the extraction from this map.
     ///
     /// # Errors
-    /// [`GpuError`] if the device cannot do it.
+    /// [`GpuError`] if the device cannot run the kernels.
     pub fn new(map: &DeviceMap) -> Result<Self, GpuError> {
         let gpu = &map.gpu;
         let more = [Binding::Read, Binding::Read, Binding::Storage, Binding::Storage];
@@ -66,7 +66,7 @@ impl Mesher {
     /// The surface of the map: the triangles of [`tsdfuse::mesh::extract_with`], in the same order.
     ///
     /// # Errors
-    /// [`GpuError::Mesh`] if the mesh has too many vertices, else the device's trouble.
+    /// [`GpuError::Mesh`] if the mesh has too many vertices; otherwise errors of the device.
     pub fn extract(&mut self, map: &DeviceMap, config: &MeshConfig) -> Result<Mesh, GpuError> {
         config.validate()?;
         let min_sum = config.min_weight_sum().cast_unsigned();
@@ -104,7 +104,7 @@ impl Mesher {
         Ok(mesh)
     }
 
-    /// The blocks with surface, sorted, and where their parts of the mesh begin.
+    /// The blocks with surface, sorted, with the start of their parts of the mesh.
     fn items(&self, map: &DeviceMap, blocks: u32) -> Result<Vec<Item>, GpuError> {
         let counts = self.finder.counts(&map.gpu, blocks)?;
         let indices = map.indices(blocks)?;
@@ -131,7 +131,8 @@ impl Mesher {
         Ok(items)
     }
 
-    /// The list of blocks, and the first vertex of each by slot. (Vertices are numbered with 32 bits; a batch's triangles too.)
+    /// Uploads the list of blocks, and the first vertex of each by slot. (The numbers of vertices, and of triangles within a
+    /// batch, fit into 32 bits.)
     fn upload(&self, map: &DeviceMap, items: &[Item]) -> Result<(wgpu::Buffer, wgpu::Buffer), GpuError> {
         let gpu = &map.gpu;
         let listed: Vec<[u32; 4]> = items
@@ -150,7 +151,7 @@ impl Mesher {
         Ok((list, firsts))
     }
 
-    /// How many blocks' part of the mesh can be bound at once.
+    /// How many of the blocks fit, with their parts of the mesh, into one binding.
     fn batch(&self, map: &DeviceMap, items: &[Item]) -> usize {
         let limit = map.gpu.binding_limit();
         let fits = |item: &&Item| {
@@ -161,7 +162,7 @@ impl Mesher {
         items.iter().take_while(fits).count().max(1)
     }
 
-    /// Writes the part of the mesh that some blocks own.
+    /// Extracts the part of the mesh that belongs to some blocks.
     fn write(
         &self,
         map: &DeviceMap,

@@ -1,4 +1,5 @@
-//! What a method needs to know of a scan before that is sent: of its sensor, by the very code of the CPU's method.
+//! The host's part of each method: what it finds out about a scan and its sensor before the scan is submitted, by the code of
+//! the CPU's method.
 
 use tsdfuse::{
     Scan, SensorModel,
@@ -11,6 +12,7 @@ use crate::error::GpuError;
 use crate::kernels::Kernels;
 use crate::prepared::{Cylinder, Image, Prepared, Surface, range_weights, weights};
 use crate::shader::{EUCLIDEAN, PROJECTIVE, RAYCAST};
+use crate::sweep::segments;
 
 /// The methods that run on the device.
 pub const METHODS: [Method; 5] = [
@@ -21,18 +23,18 @@ pub const METHODS: [Method; 5] = [
     Method::Patch,
 ];
 
-/// What is known of the sensor, by method.
+/// What each method keeps about the sensor.
 #[derive(Debug)]
 pub(crate) enum Prepare {
-    /// The returns as they are.
+    /// Nothing: returns are used as they are.
     Raycast,
-    /// Who is whose neighbour.
+    /// The beams, for the neighbours of each return.
     Normals { config: NormalsConfig, beams: Beams },
-    /// The sensor's image.
+    /// The beams, and the cylindrical image.
     Cylindrical { beams: Beams, image: Option<Cylinder> },
-    /// The camera.
+    /// Nothing: each scan has its camera.
     Depth,
-    /// Who is whose neighbour, and the sensor's angles.
+    /// The beams, for the neighbours of each return, and their angles.
     Patch {
         config: PatchConfig,
         beams: Beams,
@@ -41,10 +43,10 @@ pub(crate) enum Prepare {
 }
 
 impl Prepare {
-    /// A method, and its kernels.
+    /// Prepares a method, and returns its kernels.
     ///
     /// # Errors
-    /// [`GpuError::Unsupported`] names the methods that there are.
+    /// [`GpuError::Unsupported`] lists the methods that run on the device.
     pub(crate) fn new(
         method: Method,
         config: &FuseConfig,
@@ -93,12 +95,13 @@ impl Prepare {
         }
     }
 
-    /// A scan, and what kernels are to know of it.
+    /// Prepares a scan for its kernels.
     pub(crate) fn prepare<'a>(&'a mut self, scan: &'a Scan) -> Result<Prepared<'a>, GpuError> {
         let as_it_is = |weights| Prepared {
             scan,
             weights,
             items: scan.points.len(),
+            segments: segments(scan),
             image: None,
             surface: None,
             cylinder: None,
@@ -155,13 +158,13 @@ impl Prepare {
     }
 }
 
-/// What is known of a sensor's beams.
+/// The angles of a sensor's beams.
 #[derive(Debug, Default)]
 pub(crate) struct Angles {
     elevations_deg: Vec<f32>,
-    /// Tangents of the angles between each ring and the next; of the uppermost one, to the one below.
+    /// The tangents of the angles between each ring and the next; the uppermost ring has that of the ring below it.
     gaps: Vec<f32>,
-    /// The nearest ring of each bin of elevation.
+    /// The nearest ring for each bin of elevation.
     nearest: Vec<u32>,
 }
 

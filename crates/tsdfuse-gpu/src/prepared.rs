@@ -1,4 +1,4 @@
-//! A scan as it is sent: its columns, and what kernels are told of them.
+//! A scan as it is uploaded: its columns, and their description for kernels.
 
 use std::borrow::Cow;
 use std::f32::consts::TAU;
@@ -13,21 +13,24 @@ use tsdfuse::{
 };
 
 use crate::frame::Frame;
+use crate::sweep::Segment;
 
-/// A scan as it is sent.
+/// A scan as it is uploaded.
 pub(crate) struct Prepared<'a> {
     pub(crate) scan: &'a Scan,
-    /// The most that returns can add to the weight of one voxel: of each [`PART`] of them.
+    /// The most that each [`PART`] of the returns can add to the weight of one voxel.
     pub(crate) weights: Vec<f32>,
-    /// Returns, or pixels.
+    /// The number of returns, or of pixels.
     pub(crate) items: usize,
+    /// The motion of the sensor; empty if all returns are placed from the scan's pose.
+    pub(crate) segments: Vec<Segment>,
     pub(crate) image: Option<Image<'a>>,
     pub(crate) surface: Option<Surface<'a>>,
     pub(crate) cylinder: Option<&'a Cylinder>,
     pub(crate) camera: Option<Pinhole>,
 }
 
-/// What makes the organized image of a scan.
+/// The inputs of the organized image of a scan.
 pub(crate) struct Image<'a> {
     /// The ring of each return.
     pub(crate) rings: Cow<'a, [u16]>,
@@ -36,12 +39,12 @@ pub(crate) struct Image<'a> {
     pub(crate) min_dot: f32,
 }
 
-/// What surface patches need beside the image.
+/// What surface patches need besides the image.
 pub(crate) struct Surface<'a> {
     pub(crate) config: PatchConfig,
-    /// Tangents of the angles between rings.
+    /// The tangents of the angles between rings.
     pub(crate) gaps: &'a [f32],
-    /// The nearest ring of each bin of elevation.
+    /// The nearest ring for each bin of elevation.
     pub(crate) nearest: &'a [u32],
 }
 
@@ -57,21 +60,21 @@ pub(crate) struct Cylinder {
     towards: Vec<Vec2>,
 }
 
-/// Returns whose weights are summed up together.
+/// How many returns share one sum of weights.
 const PART: usize = 4096;
 
-/// Sums of what returns weigh by their range, in parts.
+/// The sums of the returns' weights, one for each [`PART`]; a weight follows from the range.
 pub(crate) fn weights(points: &[Vec3], weigh: impl Fn(f32) -> f32 + Sync) -> Vec<f32> {
     let of_part = |part: &[Vec3]| part.iter().map(|p| weigh(p.length())).sum();
     points.par_chunks(PART).map(of_part).collect()
 }
 
-/// Those of weights (5.8).
+/// The sums of weights by (5.8).
 pub(crate) fn range_weights(points: &[Vec3]) -> Vec<f32> {
     weights(points, |range_m| (1.0 / range_m).min(1.0))
 }
 
-/// Cuts parts of returns, `all` of them, into pieces of at most `most_returns` that add no more than `most_weight` each.
+/// Groups the parts of `all` returns into pieces of at most `most_returns` returns and at most `most_weight` each.
 pub(crate) fn pieces(weights: &[f32], all: usize, most_returns: usize, most_weight: f32) -> Vec<Range<usize>> {
     let mut pieces: Vec<Range<usize>> = Vec::new();
     let mut sum = 0.0;
@@ -90,7 +93,7 @@ pub(crate) fn pieces(weights: &[f32], all: usize, most_returns: usize, most_weig
 }
 
 impl<'a> Image<'a> {
-    /// That of a sensor.
+    /// The image of a sensor.
     pub(crate) fn of(sensor: &SensorModel, rings: Cow<'a, [u16]>) -> Self {
         Self {
             rings,
@@ -102,7 +105,7 @@ impl<'a> Image<'a> {
 }
 
 impl Cylinder {
-    /// That of a sensor.
+    /// The cylindrical image of a sensor.
     pub(crate) fn of(sensor: &SensorModel) -> Self {
         let image = twin::cylindrical_image(sensor, 0.0);
         let center = |column| image.unproject(0, column, 1.0);
@@ -114,32 +117,25 @@ impl Cylinder {
         }
     }
 
-    /// The most that returns weigh (5.8): centres of their pixels may be nearer by half a diagonal.
+    /// Upper bounds of the returns' weights (5.8): the centre of a pixel can be nearer than its return, by half a diagonal.
     pub(crate) fn weights(&self, points: &[Vec3]) -> Vec<f32> {
         weights(points, |range_m| 1.0 / (range_m * (1.0 - self.pitch)).max(1.0))
     }
 }
 
-/// Lines between two returns that may update one voxel: they are at least ¾ voxel apart where there are two, 9/8 where there are
-/// three, and reach 1.73 voxels.
+/// The most lines between two returns that update one voxel. Two lines are at least ¾ voxel apart, three at least 9/8, and they
+/// reach 1.73 voxels.
 const MOST_BETWEEN: f32 = 4.0;
 
 impl Surface<'_> {
-    /// The most that returns add to a voxel: each for itself, and what lies between it and two others.
+    /// Upper bounds of what returns add to a voxel: each return itself, and the links to two neighbours.
     pub(crate) fn weights(&self, scan: &Scan) -> Vec<f32> {
-        // How much nearer to the sensor's position these may be than returns are to where they were measured from.
+        // A patch can be this much nearer to the scan's position than its return is to the position that it was measured from.
         let off_m = twin::MAX_OFF * (self.config.noise_m.max(twin::NOISE_M[1]) + twin::ROUGHNESS_M);
-        let latest_secs = scan
-            .times
-            .iter()
-            .flatten()
-            .fold(0.0_f32, |latest, t| latest.max(t.abs()));
-        let shift_m = scan
-            .sweep()
-            .map_or(0.0, |sweep| sweep.relative_at(f64::from(latest_secs)).1.length() as f32);
+        let shift_m = largest_shift_m(scan);
         let each = 1.0 + 2.0 * MOST_BETWEEN;
         weights(&scan.points, |range_m| {
-            // Of two that are linked the other one may be nearer, and the middle between them a little more.
+            // The other end of a link can be nearer, and the middle of the link a little nearer still.
             let of_ends_m = range_m / (1.0 + twin::MAX_GAP_OF_RANGE);
             let widest_m = twin::widest_gap_m(self.config.max_gap_m, range_m);
             each / (of_ends_m - 0.5 * widest_m - off_m - shift_m).max(1.0)
@@ -147,12 +143,28 @@ impl Surface<'_> {
     }
 }
 
+/// The largest distance of the sensor from the scan's position while it measured the returns, metres.
+fn largest_shift_m(scan: &Scan) -> f32 {
+    let Some(sweep) = scan.sweep() else { return 0.0 };
+    let times = scan.times.iter().flatten().copied().filter(|t| t.is_finite());
+    let (first, last) = times.fold((0.0_f32, 0.0_f32), |(first, last), t| (first.min(t), last.max(t)));
+    let (first, last) = (f64::from(first), f64::from(last));
+    // Along a straight line the distance is largest at one of its ends.
+    let ends = sweep
+        .knots()
+        .filter(|knot| (first..last).contains(knot))
+        .chain([first, last]);
+    ends.map(|secs| sweep.relative_at(secs).1.length() as f32)
+        .fold(0.0, f32::max)
+}
+
 impl Prepared<'_> {
-    /// What is sent: points, times if returns are placed by them, the sensor's angles, rings.
+    /// The columns that are uploaded: points; times and motion if returns are placed by them; the sensor's angles; rings.
     pub(crate) fn columns(&self) -> Vec<&[u8]> {
         let mut columns = vec![
             bytemuck::cast_slice(&self.scan.points),
             bytemuck::cast_slice(self.times()),
+            bytemuck::cast_slice(&self.segments),
         ];
         if let Some(Surface { gaps, nearest, .. }) = &self.surface {
             columns.extend([bytemuck::cast_slice(gaps), bytemuck::cast_slice(nearest)]);
@@ -166,7 +178,7 @@ impl Prepared<'_> {
         columns
     }
 
-    /// Tells kernels where these columns begin.
+    /// Enters the offsets of these columns into a frame.
     pub(crate) fn place_columns(&self, frame: &mut Frame) {
         frame.total = self.scan.points.len() as u32;
         let mut next = 3 * self.scan.points.len();
@@ -177,6 +189,8 @@ impl Prepared<'_> {
         if !self.times().is_empty() {
             frame.times_at = place(self.times().len());
         }
+        frame.segments_at = place(self.segments.len() * size_of::<Segment>() / 4);
+        frame.segments = self.segments.len() as u32;
         if let Some(surface) = &self.surface {
             frame.gaps_at = place(surface.gaps.len());
             frame.nearest_at = place(surface.nearest.len());
@@ -209,7 +223,7 @@ impl Prepared<'_> {
         }
     }
 
-    /// Bytes of the buffers beside the scan that its kernels use: see [`Scratch`](crate::scratch::Scratch).
+    /// The sizes of the further buffers that its kernels use, in bytes: see [`Scratch`](crate::scratch::Scratch).
     pub(crate) fn scratch(&self) -> Vec<u64> {
         let returns = self.scan.points.len() as u64;
         if let Some(camera) = self.camera {
@@ -240,11 +254,12 @@ impl Prepared<'_> {
     }
 
     fn times(&self) -> &[f32] {
-        self.scan.sweep().and(self.scan.times.as_deref()).unwrap_or(&[])
+        let times = self.scan.times.as_deref().filter(|_| !self.segments.is_empty());
+        times.unwrap_or(&[])
     }
 }
 
-/// Of the kernels' structs.
+/// Sizes of the kernels' structs.
 pub(crate) const CELL_BYTES: u64 = 16;
 pub(crate) const PLACE_BYTES: u64 = 8;
 pub(crate) const SEEN_BYTES: u64 = 8;

@@ -1,7 +1,7 @@
-//! Views of maps on the device: the first surface that the ray of each pixel meets, as [`tsdfuse::render`].
+//! Rendering views on the device: the first surface that the ray of each pixel hits, like [`tsdfuse::render`].
 //!
-//! A camera's rays are worked out by the CPU, once, in the camera's own axes; a view then needs its pose and nothing else.
-//! Ranges are in f32, so they are known to 1/16 voxel at 10⁶ voxels.
+//! The CPU computes the rays of a camera once, in the camera's own axes; a view then only needs a pose.
+//! Ranges are f32: at 10⁶ voxels they are exact to 1/16 voxel.
 
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
@@ -27,7 +27,7 @@ pub struct Renderer {
     layout: wgpu::BindGroupLayout,
     params: wgpu::Buffer,
     config: RenderConfig,
-    /// The lowest and the highest block with surface.
+    /// The lowest and the highest corner of the blocks with surface.
     span: Option<(IVec3, IVec3)>,
     image: Option<Image>,
 }
@@ -40,7 +40,7 @@ struct Image {
     hits: wgpu::Buffer,
 }
 
-/// What kernels are told: `View` in the shader.
+/// The parameters of the kernel: `View` in the shader.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct Params {
@@ -72,14 +72,14 @@ pub(crate) struct DeviceHit {
     pub(crate) pad: f32,
 }
 
-/// Surface farther from the camera, in voxels along an axis, is not seen.
+/// Surface farther from the camera than this, in voxels along an axis, is not rendered.
 const FARTHEST: i64 = 1 << 22;
 
 impl Renderer {
-    /// For a map as it is now.
+    /// Prepares the rendering of a map in its present state.
     ///
     /// # Errors
-    /// [`GpuError::Render`] if the configuration makes no sense, else the device's trouble.
+    /// [`GpuError::Render`] if the configuration is invalid; otherwise errors of the device.
     pub fn new(map: &DeviceMap, config: &RenderConfig) -> Result<Self, GpuError> {
         config.validate()?;
         let gpu = &map.gpu;
@@ -104,10 +104,10 @@ impl Renderer {
         Ok(renderer)
     }
 
-    /// Takes notice that the map has changed.
+    /// Finds the surface again. Must be called after the map has changed.
     ///
     /// # Errors
-    /// The device's trouble.
+    /// Errors of the device.
     pub fn refresh(&mut self, map: &DeviceMap) -> Result<(), GpuError> {
         let min_weight = self.config.min_weight;
         let min_sum = MeshConfig { min_weight }.min_weight_sum().cast_unsigned();
@@ -120,10 +120,10 @@ impl Renderer {
         Ok(())
     }
 
-    /// What a camera sees from a pose (`world_from_camera`).
+    /// Renders what a camera sees from a pose (`world_from_camera`).
     ///
     /// # Errors
-    /// [`GpuError::Render`] for numbers that are no camera or no pose, and for a camera outside of the grid.
+    /// [`GpuError::Render`] if the camera or the pose is invalid, or the camera is outside the grid.
     pub fn view(&mut self, map: &DeviceMap, camera: &Camera, world_from_camera: Pose) -> Result<View, GpuError> {
         camera.check()?;
         let pose = Pose::new(world_from_camera.rotation, world_from_camera.translation).map_err(RenderError::from)?;

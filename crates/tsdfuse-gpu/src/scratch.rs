@@ -1,4 +1,5 @@
-//! Buffers that the kernels of one scan leave to those after them: used scan after scan, since scans come one after the other there.
+//! Buffers through which the kernels of a scan pass data to later ones. All scans share them, since the device processes scans
+//! one after another.
 
 use std::ops::Range;
 
@@ -7,21 +8,21 @@ use wgpu::BufferUsages as Usage;
 use crate::device::Gpu;
 use crate::error::GpuError;
 
-/// Cells, places, offers, rings (`shaders/image.wgsl`); patches, noise (`shaders/planes.wgsl`). Or, of other images, where returns are
-/// seen, pixels, and one ring, as the second to the fourth.
+/// For organized images: cells, places, offers, rings (`shaders/image.wgsl`), patches, noise (`shaders/planes.wgsl`). For other
+/// images, the second to fourth buffers hold the pixel of each return, the pixels, and one ring.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Scratch(Vec<wgpu::Buffer>);
 
-/// What kernels bind where a method needs none.
+/// The size of buffers that a method does not need but still binds.
 const LEAST_BYTES: u64 = 64;
 
 impl Scratch {
-    /// How many there are.
+    /// The number of buffers.
     pub(crate) const BUFFERS: usize = 6;
-    /// Those whose contents are of one scan alone.
+    /// The buffers that are cleared for each scan.
     pub(crate) const CLEARED: Range<usize> = 2..4;
 
-    /// Makes room for a scan that needs so many bytes of each. Scans under way keep those that they have a clone of.
+    /// Makes room for a scan that needs these sizes, in bytes. Scans in flight keep the buffers that they have clones of.
     pub(crate) fn fit(&mut self, gpu: &Gpu, bytes: &[u64]) -> Result<(), GpuError> {
         for k in 0..Self::BUFFERS {
             let wanted = bytes.get(k).copied().unwrap_or(0).max(LEAST_BYTES);
@@ -39,7 +40,7 @@ impl Scratch {
         Ok(())
     }
 
-    /// Forgets what was counted and offered.
+    /// Clears what the scan before has counted and offered.
     pub(crate) fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
         self.0[Self::CLEARED]
             .iter()

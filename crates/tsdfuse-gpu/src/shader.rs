@@ -1,20 +1,20 @@
-//! The kernels' sources: WGSL files, put together, and the part that depends on how many pages the pool has.
+//! The sources of the kernels, assembled from WGSL files and a generated part that depends on the pages of the pool.
 
 use std::fmt::Write as _;
 
 use crate::device::Gpu;
 
-/// How the voxels of a map are spread over buffers, since one binding holds only so much.
+/// How the voxels of a map are split into buffers, since the size of a binding is limited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Paging {
-    /// Buffers that kernels know of.
+    /// The number of buffers that kernels bind.
     pub(crate) pages: u32,
-    /// Blocks in each: two to this power.
+    /// Each buffer holds two to this power blocks.
     pub(crate) shift: u32,
 }
 
 impl Paging {
-    /// Blocks in a page.
+    /// Blocks per page.
     pub(crate) fn blocks(self) -> u32 {
         1 << self.shift
     }
@@ -24,7 +24,7 @@ impl Paging {
         self.pages << self.shift
     }
 
-    /// The bindings of the pages, and access to voxels by slot and number; slots of absent blocks must not come here.
+    /// The bindings of the pages, and functions that access voxels by slot and number. The slot must exist.
     fn pool(self) -> String {
         let mut text = String::from("// One binding a page: weight sum and distance sum of each voxel in turn.\n");
         let mask = self.blocks() - 1;
@@ -43,7 +43,7 @@ impl Paging {
                 "@group(0) @binding({binding}) var<storage, read_write> pool{page}: array<atomic<u32>>;"
             );
         }
-        // Tells the weight before.
+        // Returns the previous weight.
         all(
             &mut text,
             "add_to_voxel(slot: u32, local: u32, weight: u32, distance: u32) -> u32",
@@ -66,10 +66,10 @@ impl Paging {
     }
 }
 
-/// The binding of the first page, after table, blocks and state.
+/// The binding of the first page; table, blocks and state come before it.
 pub(crate) const FIRST_PAGE: u32 = 3;
 
-/// A kernel's source: the map, and what comes on top.
+/// The source of a kernel: the map, and these parts.
 pub(crate) fn source(paging: Paging, parts: &[&str]) -> String {
     let mut text = [MAP, &paging.pool()].join("\n");
     for part in parts {
@@ -109,14 +109,14 @@ pub(crate) const PIXELS: &str = include_str!("shaders/pixels.wgsl");
 pub(crate) const CYLINDRICAL: &str = include_str!("shaders/cylindrical.wgsl");
 pub(crate) const DEPTH: &str = include_str!("shaders/depth.wgsl");
 
-/// What a binding is.
+/// The kind of a binding.
 #[derive(Clone, Copy)]
 pub(crate) enum Binding {
     /// A storage buffer that kernels write to.
     Storage,
-    /// One that they only read.
+    /// A storage buffer that kernels only read.
     Read,
-    /// A uniform of so many bytes, at an offset that dispatches choose.
+    /// A uniform of this many bytes; each dispatch sets its offset.
     Uniform(u64),
 }
 

@@ -1,4 +1,4 @@
-//! Where the surface is on the device: what meshing and rendering begin with (`shaders/surface.wgsl`).
+//! Finding the surface, the first step of meshing and rendering (`shaders/surface.wgsl`).
 
 use bytemuck::{Pod, Zeroable};
 use tsdfuse::mesh::cube_triangles;
@@ -9,7 +9,7 @@ use crate::error::GpuError;
 use crate::map::DeviceMap;
 use crate::shader::{Binding, FIND_SURFACE, SURFACE, source};
 
-/// What kernels are told: `Surface` in the shaders.
+/// The parameters of the kernels: `Surface` in the shaders.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct Params {
@@ -30,19 +30,19 @@ pub(crate) const BINDINGS: [Binding; 5] = [
     Binding::Read,
 ];
 
-/// Finds the surface, and holds what was found.
+/// Finds the surface, and holds the result.
 #[derive(Debug)]
 pub(crate) struct Finder {
     kernel: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
     params: wgpu::Buffer,
     cases: wgpu::Buffer,
-    /// For so many blocks.
+    /// The result has room for this many blocks.
     capacity: u32,
     found: Option<[wgpu::Buffer; 3]>,
 }
 
-/// Workgroups, each of which takes one block after the other.
+/// The most workgroups; each loops over blocks.
 pub(crate) const WORKGROUPS: u32 = 4096;
 
 const NEIGHBOURS_BYTES: u64 = 4 * 27;
@@ -50,7 +50,7 @@ const ROWS_BYTES: u64 = 4 * 64;
 const COUNTS_BYTES: u64 = 8;
 
 impl Finder {
-    /// For maps whose pools have the pages of this one.
+    /// Prepares the search, for maps with the same pages as this one.
     pub(crate) fn new(map: &DeviceMap) -> Result<Self, GpuError> {
         let gpu = &map.gpu;
         let layout = gpu.layout(BINDINGS);
@@ -73,7 +73,7 @@ impl Finder {
         Ok(finder)
     }
 
-    /// Finds the surface of the map, of voxels of some weight; tells how many blocks the map has.
+    /// Finds the surface between voxels of at least this weight sum; returns the number of blocks of the map.
     pub(crate) fn find(&mut self, map: &DeviceMap, min_sum: u32) -> Result<u32, GpuError> {
         let gpu = &map.gpu;
         let blocks = map.block_count()?;
@@ -106,12 +106,12 @@ impl Finder {
         Ok(blocks)
     }
 
-    /// Tells the kernels that come next.
+    /// Sets the parameters of the kernels that follow.
     pub(crate) fn tell(&self, gpu: &Gpu, params: &Params) {
         gpu.queue.write_buffer(&self.params, 0, bytemuck::bytes_of(params));
     }
 
-    /// What is bound to [`BINDINGS`].
+    /// The resources of [`BINDINGS`].
     pub(crate) fn resources(&self) -> impl Iterator<Item = wgpu::BindingResource<'_>> {
         let found = self.found.iter().flatten();
         [&self.params]
@@ -121,7 +121,7 @@ impl Finder {
             .map(wgpu::Buffer::as_entire_binding)
     }
 
-    /// The vertices and triangles of each block, by slot.
+    /// The numbers of vertices and triangles of each block, by slot.
     pub(crate) fn counts(&self, gpu: &Gpu, blocks: u32) -> Result<Vec<[u32; 2]>, GpuError> {
         match &self.found {
             Some([_, _, counts]) => {
@@ -133,7 +133,7 @@ impl Finder {
     }
 }
 
-/// A case of marching cubes as kernels know it: triangles, then their edges, four bits each.
+/// A case of marching cubes in the kernels' form: the number of triangles, then their edges, four bits each.
 fn case(negative: usize) -> [u32; 4] {
     let triangles = cube_triangles(negative);
     let mut words = [triangles.len() as u32, 0, 0, 0];

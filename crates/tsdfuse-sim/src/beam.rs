@@ -1,4 +1,4 @@
-//! One beam: what it meets, and what the sensor makes of the echo.
+//! One beam: what it hits, and how the sensor reports the echo.
 
 use std::f64::consts::TAU;
 
@@ -13,7 +13,7 @@ use crate::scene::Scene;
 /// Echoes closer together than this, metres, reach the sensor as one.
 const ECHO_LENGTH_M: f64 = 0.5;
 
-/// Rays that stand for a beam that has a width: one in the middle, six around it.
+/// The rays that represent a beam with a width: one in the middle, six around it.
 const BEAM_RAYS: u32 = 7;
 
 /// Reflectivity of dust and rain.
@@ -45,10 +45,10 @@ pub(crate) struct Receiver<'a> {
 }
 
 impl Receiver<'_> {
-    /// The echo the sensor reports, with all errors but those of the laser; any range.
+    /// The echo that the sensor reports, at any range, with all errors except those of the laser.
     pub(crate) fn measure(&self, beam: &Beam, rng: &mut ChaCha8Rng) -> Option<Echo> {
         let noise = self.noise;
-        // All draws of a beam, whatever is switched on and hit.
+        // All random numbers of a beam are drawn, whichever effects are switched on.
         let [range_error, yaw_error, pitch_error] = [(); 3].map(|()| rng.sample::<f64, _>(StandardNormal));
         let [lost, unseen, airborne, where_airborne] = [(); 4].map(|()| rng.random::<f64>());
 
@@ -114,7 +114,7 @@ impl Receiver<'_> {
         let reflectivity = self.scene.primitives()[hit.primitive].reflectivity();
         Some(Echo {
             range_m: hit.range_m,
-            // Never nothing: echoes are weighted by it.
+            // Never 0, since echoes are weighted by it.
             albedo: (reflectivity * -hit.normal.dot(direction)).max(1e-6),
         })
     }

@@ -34,7 +34,7 @@ struct Item {
     primitive: Primitive,
 }
 
-/// Nodes yet to visit, with the least value their primitives can have.
+/// The nodes to visit, with the least value that their primitives can have.
 type Stack = Vec<(u32, f64)>;
 
 impl Bvh {
@@ -83,7 +83,7 @@ impl Bvh {
         best
     }
 
-    /// The least signed distance to any primitive; infinite without primitives.
+    /// The least signed distance to any primitive; infinite if there are none.
     pub(crate) fn signed_distance(&self, point: DVec3) -> f64 {
         let mut least = f64::INFINITY;
         self.visit(
@@ -150,7 +150,7 @@ fn sort(items: &mut [Item], axis: usize) {
     items.sort_by(|a, b| a.bounds.centre()[axis].total_cmp(&b.bounds.centre()[axis]));
 }
 
-/// The axis, and how many go left, at the least Σ area × number.
+/// The axis of the best split (the least Σ area × number), and how many primitives go left.
 fn best_split(items: &mut [Item]) -> (usize, usize) {
     let mut best = (f64::INFINITY, 0, items.len() / 2);
     for axis in 0..3 {

@@ -1,8 +1,7 @@
 //! Simulated LiDAR sequences in analytic scenes whose exact signed distance is known.
 //!
-//! A [`Scene`] is a union of [`Primitive`]s. It answers three questions exactly: how far is the surface
-//! ([`Scene::signed_distance`]), what does a ray hit ([`Scene::cast`]), and what does the true mesh look like
-//! ([`Scene::mesh`]). A [`Simulator`] moves a rotating sensor through it along a [`path`] and yields
+//! A [`Scene`] is a union of [`Primitive`]s. It answers three questions exactly: how far the surface is
+//! ([`Scene::signed_distance`]), what a ray hits ([`Scene::cast`]), and what the true mesh is ([`Scene::mesh`]). A [`Simulator`] moves a rotating sensor through it along a [`path`] and yields
 //! [`tsdfuse::Scan`]s with the sensor's errors ([`NoiseModel`]).
 //!
 //! All lengths are metres, angles radians; z points up, and the sensor's x axis forward.

@@ -37,7 +37,7 @@ pub struct SimulatorConfig {
     pub rate_hz: f64,
     /// Whether the sensor moves during a scan. If not, a whole scan is taken from its pose.
     pub motion: bool,
-    /// Varies all random numbers.
+    /// The seed of all random numbers.
     pub seed: u64,
 }
 
@@ -52,7 +52,7 @@ impl Default for SimulatorConfig {
     }
 }
 
-/// Why nothing can be simulated.
+/// What can be wrong with a simulation.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SimulationError {
     /// The sensor's model is not usable.
@@ -63,17 +63,17 @@ pub enum SimulationError {
     Noise {
         /// The field.
         name: &'static str,
-        /// What it says.
+        /// Its value.
         value: f64,
     },
-    /// The rate is finite and positive.
+    /// The rate is not finite or not positive.
     #[error("{0} scans per second cannot be simulated")]
     Rate(f64),
 }
 
 /// A sensor that moves through a scene.
 ///
-/// A scan holds the returns column by column, within a column by ring; what did not return is counted in
+/// A scan holds the returns column by column, within a column by ring; beams without a return are counted in
 /// [`Scan::dropped`]. Points are in the sensor frame at their own time, intensities are the surface's reflectivity × the cosine
 /// of incidence. With [`SimulatorConfig::motion`] every point has its time, and [`Scan::motion`] is the path's next pose: the
 /// sensor moves exactly as [`Scan::sweep`] says. The same input gives the same scans on any number of threads.
@@ -89,7 +89,7 @@ pub struct Simulator {
     bias_m: Vec<f64>,
 }
 
-/// What the beams of one column brought.
+/// The returns of one column.
 #[derive(Default)]
 struct Column {
     returns: Vec<Return>,
@@ -139,12 +139,12 @@ impl Simulator {
         })
     }
 
-    /// What is scanned.
+    /// The scene.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// What scans.
+    /// The sensor.
     pub fn sensor(&self) -> &SensorModel {
         &self.sensor
     }
@@ -190,7 +190,7 @@ impl Simulator {
         }
     }
 
-    /// Where the sensor is one turn later: at the path's next pose; after the last one it goes on as before.
+    /// The sensor's pose one turn later: the path's next pose; after the last one the sensor continues as before.
     fn motion(&self, number: usize, pose: Pose) -> Option<PoseAt> {
         let next = || match (self.path.get(number + 1), number.checked_sub(1)) {
             (Some(&next), _) => next,
@@ -207,7 +207,7 @@ impl Simulator {
     fn fire(&self, scan: usize, column: u32, start: Pose, sweep: Option<&Sweep>) -> Column {
         let share = f64::from(column) / f64::from(self.sensor.columns);
         let azimuth = DQuat::from_rotation_z(-TAU * share);
-        // As stored, so that who reads the time finds the pose that was used.
+        // Rounded as stored, so that the stored time gives the pose that was used.
         let time = (share / self.config.rate_hz) as f32;
         let (rotation, shift) = sweep.map_or((start.rotation, DVec3::ZERO), |sweep| {
             sweep.relative_at(f64::from(time))

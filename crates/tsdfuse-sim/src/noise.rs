@@ -1,4 +1,4 @@
-//! What a real sensor adds to the true range, and what it does not see.
+//! The errors of a real sensor: what it adds to the true range, and what it does not see.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct NoiseModel {
     /// Standard deviation of each range, metres.
     pub range_sigma_m: f64,
-    /// Standard deviation of the constant range error that each laser has of its own, metres.
+    /// Standard deviation of the constant range error of each laser, metres.
     pub laser_bias_sigma_m: f64,
     /// Ranges are rounded to multiples of this, metres; 0: not rounded.
     pub range_step_m: f64,

@@ -1,11 +1,11 @@
-//! Many pictures as one, grey if all of them are.
+//! Several pictures in one, which is grey if all of them are.
 
 use tsdfuse::render::{Image, Pixels};
 
 /// The colour of pixels that show nothing.
 pub(super) const BACKGROUND: [u8; 3] = [255; 3];
 
-/// Pictures of one size side by side, `across` in a row; others than coloured ones stay white.
+/// Pictures of one size side by side, `across` in a row. Pictures that are not in colour stay white.
 pub fn sheet(pictures: &[&Image], across: usize) -> Image {
     let (width, height) = pictures.first().map_or((0, 0), |first| (first.width, first.height));
     let across = across.clamp(1, pictures.len().max(1));
@@ -20,7 +20,7 @@ pub fn sheet(pictures: &[&Image], across: usize) -> Image {
             }
         }
     }
-    // A third of the bytes where there are no colours.
+    // Grey needs a third of the bytes.
     let pixels = if pixels.iter().all(|[r, g, b]| r == g && g == b) {
         Pixels::Grey(pixels.iter().map(|pixel| pixel[0]).collect())
     } else {

@@ -5,8 +5,8 @@ use tsdfuse::glam::DVec3;
 
 use super::coherent;
 
-/// Points in the tree are multiples of this, metres: 60 nm. The tree splits at the middle between coordinates, which must
-/// differ from both, so they must not be adjacent floats. Coordinates up to 2²⁷ m keep the middle exact.
+/// Points in the tree are rounded to multiples of this, metres: 60 nm. The tree splits at the middle between two coordinates,
+/// which must differ from both, so they must not be adjacent floats. Up to 2²⁷ m the middle is exact.
 const STEP_M: f64 = 1.0 / 16_777_216.0;
 
 /// A k-d tree over points.
@@ -14,7 +14,7 @@ const STEP_M: f64 = 1.0 / 16_777_216.0;
 pub(crate) struct CloudTree(KDTree<f64, Point>);
 
 impl CloudTree {
-    /// Builds the tree of at least one point, all of them sound.
+    /// Builds the tree of one or more valid points.
     pub(crate) fn new(points: &[DVec3]) -> Self {
         let points: Vec<_> = points
             .iter()
@@ -41,12 +41,12 @@ impl CloudTree {
     }
 }
 
-/// A point as the tree wants it.
+/// A point in the form that the tree requires.
 #[derive(Clone, Copy, Debug, Default)]
 struct Point([NotNan<f64>; 3]);
 
 impl Point {
-    /// NaN becomes 0; callers have none.
+    /// NaN becomes 0; callers pass none.
     fn of(p: DVec3) -> Self {
         Self(p.to_array().map(|c| NotNan::new(c).unwrap_or_default()))
     }

@@ -1,11 +1,11 @@
-//! Asking for many points in an order in which neighbours follow each other, so that caches hold what the next one needs.
+//! Queries in an order in which neighbouring points follow each other, so that the cache already holds what the next one needs.
 
 use rayon::prelude::*;
 use tsdfuse::glam::DVec3;
 
 use crate::bounds::Bounds;
 
-/// `answer` to each point, in the order of the points.
+/// `answer` for each point, in the order of the points.
 pub(super) fn answers<T: Copy + Default + Send>(points: &[DVec3], answer: impl Fn(DVec3) -> T + Sync) -> Vec<T> {
     let Some(bounds) = Bounds::of(points) else {
         return Vec::new();
@@ -25,7 +25,7 @@ pub(super) fn answers<T: Copy + Default + Send>(points: &[DVec3], answer: impl F
     answers
 }
 
-/// Bits of the coordinates in turn, 10 of each.
+/// The interleaved bits of the coordinates, 10 of each.
 fn morton(p: DVec3, bounds: &Bounds) -> u32 {
     // A box without depth gives NaN, which becomes 0.
     let cell = ((p - bounds.min) / (bounds.max - bounds.min) * 1023.0)

@@ -8,12 +8,12 @@ use super::coherent;
 use crate::sample::corners;
 use crate::triangle::closest_on;
 
-/// An R-tree over triangles, of any sizes.
+/// An R-tree over triangles of any size.
 #[derive(Debug)]
 pub(crate) struct TriangleTree(RTree<Triangle>);
 
 impl TriangleTree {
-    /// Builds the tree of a sound mesh.
+    /// Builds the tree of a valid mesh.
     pub(crate) fn new(mesh: &Mesh) -> Self {
         let triangles = mesh.triangles.iter().map(|t| Triangle(corners(mesh, t)));
         Self(RTree::bulk_load(triangles.collect()))
@@ -28,7 +28,7 @@ impl TriangleTree {
         coherent::answers(points, distance)
     }
 
-    /// Whether a triangle is no farther from each of `points` than this.
+    /// Whether each of `points` has a triangle at most this far away.
     pub(crate) fn are_within(&self, points: &[DVec3], distance_m: f64) -> Vec<bool> {
         let is_within = |p: DVec3| {
             let within = self.0.locate_within_distance(p.to_array(), distance_m * distance_m);

@@ -1,14 +1,14 @@
-//! A mesh along the line of its summed area.
+//! The triangles of a mesh lined up by their area.
 
 use tsdfuse::Mesh;
 use tsdfuse::glam::DVec3;
 
 use crate::triangle;
 
-/// The triangles of a mesh along the line of their summed area.
+/// The triangles of a mesh, lined up by their area.
 pub(super) struct ByArea<'a> {
     mesh: &'a Mesh,
-    /// Where each triangle ends, m².
+    /// The summed area up to the end of each triangle, m².
     ends_m2: Vec<f64>,
 }
 

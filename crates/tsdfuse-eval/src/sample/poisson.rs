@@ -12,17 +12,17 @@ use super::area::ByArea;
 use grid::Grid;
 use queue::Queue;
 
-/// Candidates for each sample that is left (section 4: more of them hardly gain anything).
+/// Candidates per sample (section 4: more hardly improve the result).
 const CANDIDATES: usize = 5;
 /// Parameters of the weight function (section 3).
 const ALPHA: i32 = 8;
 const BETA: f64 = 0.65;
 const GAMMA: f64 = 1.5;
-/// Weights are sums of integers, so that they do not depend on the order of additions: the largest term is so much.
+/// The largest term of a weight. Weights are sums of integers, so that the order of additions does not matter.
 const UNIT: f64 = 1_048_576.0;
 
-/// `count` points of a mesh, no two of them near each other: of five times as many even samples, those of which most others
-/// are close by are eliminated one after another. None for a mesh without area.
+/// `count` points of a mesh, no two of them near each other: of five times as many uniform samples, those with the most near
+/// neighbours are eliminated one after another. Empty for a mesh without area.
 pub fn poisson_disk(mesh: &Mesh, count: usize) -> Vec<DVec3> {
     let area = ByArea::of(mesh);
     let candidates = CANDIDATES * count;
@@ -30,7 +30,7 @@ pub fn poisson_disk(mesh: &Mesh, count: usize) -> Vec<DVec3> {
         return Vec::new();
     }
     let kernel = Kernel::new(area.total_m2(), count);
-    // Relative to the first one, so that f32 suffices to weigh.
+    // Relative to the first one, so that f32 is precise enough for weights.
     let origin = area.point(0, candidates).unwrap_or_default();
     let relative = |i| area.point(i, candidates).map_or(Vec3::ZERO, |p| (p - origin).as_vec3());
     let positions: Vec<Vec3> = (0..candidates).into_par_iter().map(relative).collect();
@@ -40,13 +40,13 @@ pub fn poisson_disk(mesh: &Mesh, count: usize) -> Vec<DVec3> {
         .collect()
 }
 
-/// How much two samples weigh on each other.
+/// The weight of two samples on each other.
 struct Kernel {
     /// Twice the largest radius that `count` disks on this area can have.
     reach_m: f32,
-    /// Twice the least radius that is told apart.
+    /// Twice the smallest radius that makes a difference.
     least_m: f32,
-    /// What brings the largest weight to [`UNIT`].
+    /// Scales the largest weight to [`UNIT`].
     scale: f32,
 }
 
@@ -74,8 +74,8 @@ impl Kernel {
     }
 }
 
-/// Eliminates all but `count` samples: each time the one of the greatest weight, and of equals the last. Returns the
-/// numbers of those that are left, in order.
+/// Eliminates all but `count` samples: each time the one with the largest weight, the last one among equals. Returns the numbers
+/// of the remaining samples, in order.
 fn eliminate(positions: Vec<Vec3>, count: usize, kernel: &Kernel) -> Vec<u32> {
     let grid = Grid::new(positions, kernel.reach_m);
     let mut weights: Vec<u64> = (0..grid.positions.len())

@@ -1,6 +1,6 @@
-// Free space: what rays pass through is not surface. See `tsdfuse::fuse::carve`.
+// Free space: where rays pass through, there is no surface. See `tsdfuse::fuse::carve`.
 
-// Bin of elevation and column in which a place is seen, sensor's axes.
+// The bin of elevation and the column in which the sensor sees a place (sensor's axes).
 fn seen_at(p: vec3<f32>) -> vec2<u32> {
     let elevation = arc_tangent2(p.z, sqrt(p.x * p.x + p.y * p.y));
     let columns = f32(frame.columns);
@@ -17,10 +17,14 @@ fn cell_at(bin: u32, column: u32) -> u32 {
 
 // A place (world axes, relative to the anchor, metres) in the sensor frame some seconds after the scan's pose.
 fn to_sensor_after(place: vec3<f32>, secs: f32) -> vec3<f32> {
-    return turned_after(to_sensor(place - frame.velocity * secs), -secs);
+    if frame.times_at == 0u {
+        return to_sensor(place);
+    }
+    let segment = segment_at(secs);
+    return from_first_axes(to_sensor(place - shift_at(segment, secs)), segment, secs);
 }
 
-// The first return in the column in which a place is seen from the scan's pose: the sensor turned to the place when it measured it.
+// The first return in the column in which a place is seen from the scan's pose: the sensor faced the place at that return's time.
 fn first_towards(place: vec3<f32>) -> Cell {
     let column = seen_at(to_sensor(place)).y % frame.columns;
     var cell = cells[column];
@@ -30,11 +34,11 @@ fn first_towards(place: vec3<f32>) -> Cell {
     return cell;
 }
 
-// A block as the sensor sees it when it turns to it.
+// A block as the sensor sees it at the moment when it faces the block.
 struct Look {
-    // Whether the ray nearest to the block's middle ends behind the block.
+    // Whether the ray nearest to the block's centre ends behind the block.
     may_be_passed: bool,
-    // When that is, seconds after the scan's pose.
+    // That moment, seconds after the scan's pose.
     secs: f32,
 }
 
@@ -46,7 +50,7 @@ fn look_at(corner_vox: vec3<f32>, voxel_size_m: f32) -> Look {
         if !is_there(first) {
             return Look(false, 0.0);
         }
-        secs = bitcast<f32>(returns[frame.times_at + first.i]);
+        secs = time_of(first.i);
     }
     let p = to_sensor_after(middle, secs);
     let at = seen_at(p);
@@ -55,7 +59,7 @@ fn look_at(corner_vox: vec3<f32>, voxel_size_m: f32) -> Look {
     return Look(is_there(cell) && length(cell.point - origin_of(cell)) > far_m, secs);
 }
 
-// F at a voxel of a block, and whether it is in there and was observed.
+// F at a voxel of a block, and 1 if the voxel is inside the block and was observed.
 fn distance_at(slot: u32, at: vec3<i32>) -> vec2<f32> {
     if any(at < vec3(0)) || any(at > vec3(7)) {
         return vec2(0.0);
@@ -64,7 +68,7 @@ fn distance_at(slot: u32, at: vec3<i32>) -> vec2<f32> {
     return vec2(f32(bitcast<i32>(voxel.y)) / f32(max(voxel.x, 1u)), f32(voxel.x > 0u));
 }
 
-// How much F grows along an axis: of two differences the sum, of one, twice.
+// The growth of F along an axis: the sum of two differences, or twice the only one.
 fn slope(slot: u32, at: vec3<i32>, step: vec3<i32>) -> f32 {
     let here = distance_at(slot, at).x;
     let before = distance_at(slot, at - step);
@@ -73,12 +77,12 @@ fn slope(slot: u32, at: vec3<i32>, step: vec3<i32>) -> f32 {
     return both * ((here - before.x) * before.y + (after.x - here) * after.y);
 }
 
-// The direction in which F grows at a voxel of a block, by differences to its neighbours in the block that were observed.
+// The direction in which F grows at a voxel, from differences to its observed neighbours in the same block.
 fn gradient_at(slot: u32, at: vec3<i32>) -> vec3<f32> {
     return vec3(slope(slot, at, vec3(1, 0, 0)), slope(slot, at, vec3(0, 1, 0)), slope(slot, at, vec3(0, 0, 1)));
 }
 
-// The ray that passes a place, seen from where the sensor is some seconds after the scan's pose, and ends well behind it; zero if none does.
+// The ray that passes a place and ends well behind it, seen from the sensor some seconds after the scan's pose; zero if there is none.
 fn ray_past(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> vec3<f32> {
     let at = seen_at(to_sensor_after(center, secs));
     for (var next = 0u; next < 2u; next++) {
@@ -93,7 +97,7 @@ fn ray_past(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> vec3<f32> {
         let size = length(end);
         let along = dot(p, end) / size;
         let above = select(size - along, dot(p - end, patches[number].normal), is_plane(patches[number]));
-        // From one vector: a difference of squares would lose what it is to tell.
+        // The length of one vector: a difference of squares would cancel.
         let beside = p - end * (along / size);
         let margin_m = MARGIN * voxel_size_m;
         let radius_m = BESIDE * voxel_size_m;
@@ -104,7 +108,7 @@ fn ray_past(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> vec3<f32> {
     return vec3(0.0);
 }
 
-// A part of both sums, or nothing of what is left.
+// A fraction of both sums, or nothing if the rest is negligible.
 fn fade(voxel: vec2<u32>) -> vec2<u32> {
     let weight = voxel.x / u32(LEFT);
     return select(vec2(weight, bitcast<u32>(bitcast<i32>(voxel.y) / LEFT)), vec2(0u), weight < FORGOTTEN);
@@ -114,8 +118,8 @@ var<workgroup> count: u32;
 var<workgroup> passed: atomic<u32>;
 var<workgroup> look: Look;
 
-// Fades what rays contradict, after all updates: a block a workgroup, in turns; of a block that the scan updated the voxels that
-// are passed, of another one all, if some are.
+// Fades what rays contradict, after all updates. Workgroups loop over blocks. In a block that the scan updated, the voxels that rays
+// pass fade; in any other block all voxels fade if rays pass enough of them.
 @compute @workgroup_size(64)
 fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     if lane == 0u {
@@ -137,12 +141,12 @@ fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
             }
         }
         workgroupBarrier();
-        // One bit a voxel of this thread.
+        // One bit for each voxel of this thread.
         var here = 0u;
         if in_turn && look.may_be_passed {
             for (var k = 0u; k < 8u; k++) {
                 let voxel = load_voxel(slot, lane + 64u * k);
-                // Also false where nothing was observed.
+                // False where nothing was observed.
                 if f32(bitcast<i32>(voxel.y)) < -inside * f32(voxel.x) {
                     let at = vec3(lane & 7u, lane >> 3u, k);
                     let ray = ray_past((corner + vec3<f32>(at) + 0.5) * voxel_size_m, look.secs, voxel_size_m);

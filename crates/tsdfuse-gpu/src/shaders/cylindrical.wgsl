@@ -1,7 +1,7 @@
 // Cylindrical depth images: see `tsdfuse::sensor::Cylindrical`, whose pixels these are, and `tsdfuse::fuse::Cylindrical`.
-// After their depths, `pixels` has the return of each, bits flipped.
+// After the depths, `pixels` holds the return of each pixel, bits flipped.
 
-// Where a return is seen.
+// The pixel of a return.
 struct Seen {
     // Distance from the axis, metres.
     depth: f32,
@@ -13,7 +13,7 @@ struct Seen {
 
 var<workgroup> bins: array<atomic<u32>, PHASE_BINS>;
 
-// Counts returns by the part of a column, …
+// Counts returns by their place within a column, …
 @compute @workgroup_size(64)
 fn count_parts(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     for (var i = id.x; i < frame.total; i += 64u * groups.x) {
@@ -29,7 +29,7 @@ fn count_parts(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgr
     }
 }
 
-// … as if all were one ring's.
+// … as if all belonged to one ring.
 @compute @workgroup_size(64)
 fn find_phase(@builtin(local_invocation_index) lane: u32) {
     if lane == 0u {
@@ -54,7 +54,7 @@ fn see(p: vec3<f32>) -> Seen {
     return Seen(depth, u32(row) * frame.columns + min(u32(column + 0.5), frame.columns - 1u));
 }
 
-// The nearest return of a pixel gets it, …
+// Each pixel goes to its nearest return, …
 @compute @workgroup_size(64)
 fn offer_pixels(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     for (var i = id.x; i < frame.total; i += 64u * groups.x) {
@@ -65,7 +65,7 @@ fn offer_pixels(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
     tell_offers(lane);
 }
 
-// … the first of several.
+// … or to the first of several.
 @compute @workgroup_size(64)
 fn choose_nearest(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < frame.total; i += 64u * groups.x) {
@@ -76,7 +76,7 @@ fn choose_nearest(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wor
     }
 }
 
-// The point (sensor frame) at the centre of a return's pixel: what (5.28)–(5.31) mean.
+// The point (sensor frame) at the centre of a return's pixel, at the return's depth (5.28)–(5.31).
 fn centre_of(s: Seen) -> vec3<f32> {
     let at = frame.towards_at + 2u * (s.pixel % frame.columns);
     let column = bitcast<vec2<f32>>(vec2(returns[at], returns[at + 1u]));
@@ -85,7 +85,7 @@ fn centre_of(s: Seen) -> vec3<f32> {
     return vec3(towards, frame.top - f32(s.pixel / frame.columns) * frame.column_rad) * s.depth;
 }
 
-// The line along the ray to there.
+// The line along the ray to that point.
 fn line_of(i: u32) -> Line {
     let s = seen[i];
     if s.pixel == NONE || atomicLoad(&pixels[pixel_count() + s.pixel]) != ~i {

@@ -1,5 +1,5 @@
-// Depth images: see `tsdfuse::sensor::DepthImage`, whose pixels these are, and `tsdfuse::fuse::depth`, whose blocks and voxels. Depths are
-// measured along the optical axis; after them, `pixels` has the largest one.
+// Depth images. Pixels are those of `tsdfuse::sensor::DepthImage`, blocks and voxels those of `tsdfuse::fuse::depth`. Depths are measured
+// along the optical axis; after them, `pixels` holds the largest one.
 
 // An axis along which a line moves slower than this counts as standing still.
 const STILL: f32 = 1e-9;
@@ -36,12 +36,12 @@ fn depth_in(pixel: u32) -> f32 {
     return bitcast<f32>(select(bits, 0u, bits == NONE));
 }
 
-// The point at depth 1 that is seen at some column and row, camera's axes.
+// The point at depth 1 that is seen at a column and a row (camera's axes).
 fn ray_through(u: f32, v: f32) -> vec3<f32> {
     return vec3(1.0, (frame.camera.z - u) / frame.camera.x, (frame.camera.w - v) / frame.camera.y);
 }
 
-// Makes the blocks between two places, voxels from the anchor's.
+// Creates the blocks between two places, in voxels relative to the anchor's.
 fn allocate_between(from_vox: vec3<f32>, to_vox: vec3<f32>) {
     let home = frame.anchor_voxel >> vec3(3u);
     let shift = vec3<f32>(frame.anchor_voxel & vec3(7));
@@ -57,7 +57,7 @@ fn allocate_between(from_vox: vec3<f32>, to_vox: vec3<f32>) {
     for (var left = steps.x + steps.y + steps.z; left > 0.0; left -= 1.0) {
         let open = select(vec3(1e30), next, cell != last);
         let now = min(open.x, min(open.y, open.z));
-        // One axis at a time, so that no block is passed by.
+        // One axis at a time, so that no block is skipped.
         let axis = select(select(2u, 1u, open.y == now), 0u, open.x == now);
         cell[axis] += select(-1.0, 1.0, up[axis]);
         next[axis] += inverse[axis];
@@ -67,7 +67,7 @@ fn allocate_between(from_vox: vec3<f32>, to_vox: vec3<f32>) {
 
 var<workgroup> outcomes: array<atomic<u32>, 2>;
 
-// Makes the blocks on the line of sight of each pixel, from μ in front of its depth to μ behind.
+// Creates the blocks on the line of sight of each pixel, from μ in front of its depth to μ behind it.
 @compute @workgroup_size(64)
 fn allocate_depth(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     if atomicLoad(&state.flags) == 0u && id.x < frame.count {
@@ -94,12 +94,12 @@ fn allocate_depth(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_i
     }
 }
 
-// Whether the side of the image between two of its corners leaves part of a ball about a point on the inside.
+// Whether part of a ball is on the inner side of the image's border between two of its corners.
 fn within(corner: vec3<f32>, next: vec3<f32>, center: vec3<f32>, radius: f32) -> bool {
     return dot(normalize(cross(next, corner)), center) >= -radius;
 }
 
-// Whether part of a ball about a point can be seen.
+// Whether part of a ball can be seen.
 fn sees(center: vec3<f32>, radius: f32, truncation_m: f32) -> bool {
     let right = f32(frame.columns) - 0.5;
     let bottom = f32(frame.rings) - 0.5;
@@ -112,7 +112,7 @@ fn sees(center: vec3<f32>, radius: f32, truncation_m: f32) -> bool {
         && within(b, c, center, radius) && within(c, d, center, radius) && within(d, a, center, radius);
 }
 
-// Updates all voxels of the blocks in view: one block a workgroup, in turns.
+// Updates all voxels of the blocks in view. Workgroups loop over blocks.
 @compute @workgroup_size(64)
 fn fuse_depth(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     if atomicLoad(&state.flags) != 0u {

@@ -9,7 +9,7 @@ fn wide(axis: vec3<f32>) -> f32 {
     return select(3.0, 2.0, 0.75 * (1.0 - axis.z * axis.z) < (1.0 - 2.0 * SLACK) * axis.x * axis.x);
 }
 
-// Distance over μ, and weight; a weight of 0: no update.
+// The distance divided by μ, and the weight; a weight of 0 means no update.
 fn rule(l: Line, v: Near) -> vec2<f32> {
     let truncation = frame.truncation_vox;
     let inside = v.distance2 - v.along * v.along <= VOXEL_RADIUS * VOXEL_RADIUS && v.distance2 <= truncation * truncation;

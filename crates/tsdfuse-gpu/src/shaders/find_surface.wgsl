@@ -10,7 +10,7 @@ fn row_at(y: i32, z: i32) -> i32 {
     return (y + 1) + RIM * (z + 1);
 }
 
-// The cells of a row that are observed at all corners: bit x + 1.
+// The cells of a row whose corners are all observed: bit x + 1.
 fn cells(y: i32, z: i32) -> u32 {
     let r = row_at(y, z);
     let all = observed[r] & observed[r + 1] & observed[r + RIM] & observed[r + RIM + 1];
@@ -70,7 +70,7 @@ fn find_surface(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups
         let own = cells(y, z);
         let left = cells(y - 1, z);
         let below = cells(y, z - 1);
-        // A vertex needs a cell about its edge, and its ends on two sides of the surface.
+        // A vertex needs a cell next to its edge, and the edge's ends on different sides of the surface.
         let about_x = own | left | below | cells(y - 1, z - 1);
         let about_y = (own | below) | (own | below) << 1u;
         let about_z = (own | left) | (own | left) << 1u;

@@ -1,6 +1,6 @@
-// One scan: where it was measured, and its returns. See frame.rs, which has the same layout.
+// One scan: where it was measured, and its returns. frame.rs has the same layout.
 
-// What a dispatch does.
+// Modes of a dispatch.
 const ALLOCATE: u32 = 0u;
 const FUSE: u32 = 1u;
 
@@ -9,25 +9,24 @@ struct Frame {
     world_x: vec3<f32>,
     mode: u32,
     world_y: vec3<f32>,
-    // The returns that this dispatch takes.
+    // The returns that this dispatch processes: the first, and how many.
     first: u32,
     world_z: vec3<f32>,
     count: u32,
-    // The sensor's position in the grid: voxel, and place in it.
+    // The sensor's position in the grid: the voxel, and the place in it.
     anchor_voxel: vec3<i32>,
     stamp: u32,
     anchor_fraction: vec3<f32>,
     voxels_per_m: f32,
-    // How the sensor turns (its own axes, radians a second) and moves (world axes, metres a second).
-    turn_axis: vec3<f32>,
-    turn_rate: f32,
-    velocity: vec3<f32>,
     truncation_vox: f32,
     max_weight_sum: u32,
-    // A voxel with a larger weight sum might exceed that in this dispatch.
+    // A voxel with a larger weight sum than this might exceed `max_weight_sum` in this dispatch.
     heavy_sum: u32,
-    // Where columns beside the points begin in `returns`; 0: there is none.
+    // Offsets in `returns` of the columns after the points; 0 if there is none.
     times_at: u32,
+    // The offset of the segments of the sensor's motion, and their number; used if there are times.
+    segments_at: u32,
+    segments: u32,
     rings_at: u32,
     rings: u32,
     columns: u32,
@@ -35,21 +34,23 @@ struct Frame {
     min_dot: f32,
     // Returns of the whole scan.
     total: u32,
-    // Of surface patches: see `tsdfuse::patch::Limits`; tangents of the angles between rings; nearest rings by elevation.
+    // For surface patches: see `tsdfuse::patch::Limits`; further down, offsets of the tangents of the angles between rings and of the
+    // nearest rings by elevation.
     window_m: f32,
     noise_m: f32,
     step_m: f32,
     max_gap_m: f32,
-    // Angle between columns, and how many there are in a radian.
+    // The angle between columns, and the number of columns per radian.
     column_rad: f32,
     columns_per_rad: f32,
     gaps_at: u32,
     nearest_at: u32,
-    // Of cylindrical images, whose pitch is `column_rad`: unit vectors towards columns, for a phase of 0; the tangent of row 0; and
-    // rows in a tangent of 1.
+    // For cylindrical images, whose pitch is `column_rad`: the offset of unit vectors towards columns, for a phase of 0; the tangent of
+    // row 0; and the number of rows per tangent of 1.
     towards_at: u32,
     top: f32,
     per_pitch: f32,
+    pad: f32,
     // A camera's focal lengths, and its principal point, pixels.
     camera: vec4<f32>,
 }
@@ -58,13 +59,13 @@ struct Frame {
 // Points (sensor frame, metres), three numbers each, then the columns.
 @group(1) @binding(1) var<storage, read> returns: array<u32>;
 
-// A return in world axes relative to the anchor, metres, and where its ray began.
+// A return and the start of its ray, world axes relative to the anchor, metres.
 struct Placed {
     point: vec3<f32>,
     origin: vec3<f32>,
 }
 
-// Returns farther out, voxels from the sensor, do not reach the map.
+// Returns farther from the sensor than this many voxels do not reach the map.
 const MAX_REACH: f32 = 4194304.0;
 
 fn point_of(i: u32) -> vec3<f32> {
@@ -72,12 +73,12 @@ fn point_of(i: u32) -> vec3<f32> {
     return bitcast<vec3<f32>>(vec3(returns[at], returns[at + 1u], returns[at + 2u]));
 }
 
-// Whether numbers are finite, from their bits: compilers may assume that all are.
+// Whether numbers are finite, from their bits: shader compilers may assume that all numbers are.
 fn is_finite(bits: vec3<u32>) -> bool {
     return all((bits & vec3(0x7f800000u)) != vec3(0x7f800000u));
 }
 
-// Whether a return has a place.
+// Whether a return can be placed.
 fn is_valid(i: u32) -> bool {
     let at = 3u * i;
     var valid = is_finite(vec3(returns[at], returns[at + 1u], returns[at + 2u]));
@@ -87,7 +88,7 @@ fn is_valid(i: u32) -> bool {
     return valid;
 }
 
-// Sine and cosine of an angle of at most a few turns: built-in ones may be off by 2⁻¹¹.
+// Sine and cosine of an angle of at most a few turns. The built-in functions may be off by 2⁻¹¹.
 fn sin_cos(angle: f32) -> vec2<f32> {
     let quarter = round(angle * 0.63661977);
     // π/2 in two parts.
@@ -108,12 +109,74 @@ fn place(i: u32) -> Placed {
     return place_at(i, point_of(i));
 }
 
-// A vector in the sensor's axes at the scan's pose, from those that it has some seconds later.
-fn turned_after(p: vec3<f32>, secs: f32) -> vec3<f32> {
-    // Rodrigues' rotation formula.
-    let turn = sin_cos(frame.turn_rate * secs);
-    let k = frame.turn_axis;
-    return p * turn.y + cross(k, p) * turn.x + k * (dot(k, p) * (1.0 - turn.y));
+// The motion of the sensor consists of segments, in order of time, in which it moves and turns at constant rates. In `returns` a
+// segment is these words: see sweep.rs.
+const UNTIL_SECS: u32 = 0u;
+// The segment starts at the pose nearer to time 0: at this time, …
+const FROM_SECS: u32 = 1u;
+const TURN_RATE: u32 = 2u;
+// … at this place relative to the scan's position, with this velocity (world axes), …
+const SHIFT: u32 = 3u;
+const VELOCITY: u32 = 6u;
+// … turning about this axis, from this rotation (a quaternion) relative to the scan's pose.
+const TURN_AXIS: u32 = 9u;
+const ROTATION: u32 = 12u;
+const SEGMENT_WORDS: u32 = 16u;
+
+fn float_at(at: u32) -> f32 {
+    return bitcast<f32>(returns[at]);
+}
+
+fn vector_at(at: u32) -> vec3<f32> {
+    return vec3(float_at(at), float_at(at + 1u), float_at(at + 2u));
+}
+
+// Where the segment begins in `returns` in which a time lies, seconds after the scan's pose.
+fn segment_at(secs: f32) -> u32 {
+    var segment = frame.segments_at;
+    let last = segment + SEGMENT_WORDS * (frame.segments - 1u);
+    while segment < last && float_at(segment + UNTIL_SECS) < secs {
+        segment += SEGMENT_WORDS;
+    }
+    return segment;
+}
+
+// Rotates a vector about a unit vector, by an angle given as sine and cosine: Rodrigues' rotation formula.
+fn rotated_about(axis: vec3<f32>, turn: vec2<f32>, p: vec3<f32>) -> vec3<f32> {
+    return p * turn.y + cross(axis, p) * turn.x + axis * (dot(axis, p) * (1.0 - turn.y));
+}
+
+// Rotates a vector by a unit quaternion, given as vector and scalar part.
+fn rotated(v: vec3<f32>, w: f32, p: vec3<f32>) -> vec3<f32> {
+    return p + 2.0 * cross(v, cross(v, p) + w * p);
+}
+
+// How far the sensor has turned since a segment's start: sine and cosine.
+fn turn_in(segment: u32, secs: f32) -> vec2<f32> {
+    return sin_cos(float_at(segment + TURN_RATE) * (secs - float_at(segment + FROM_SECS)));
+}
+
+// A vector in the sensor's axes at the scan's pose, from its axes at another time.
+fn to_first_axes(p: vec3<f32>, segment: u32, secs: f32) -> vec3<f32> {
+    let turned = rotated_about(vector_at(segment + TURN_AXIS), turn_in(segment, secs), p);
+    return rotated(vector_at(segment + ROTATION), float_at(segment + ROTATION + 3u), turned);
+}
+
+// The inverse of `to_first_axes`.
+fn from_first_axes(p: vec3<f32>, segment: u32, secs: f32) -> vec3<f32> {
+    let unrotated = rotated(-vector_at(segment + ROTATION), float_at(segment + ROTATION + 3u), p);
+    let turn = turn_in(segment, secs);
+    return rotated_about(vector_at(segment + TURN_AXIS), vec2(-turn.x, turn.y), unrotated);
+}
+
+// Where the sensor is at some time, relative to the scan's position, world axes.
+fn shift_at(segment: u32, secs: f32) -> vec3<f32> {
+    return vector_at(segment + SHIFT) + vector_at(segment + VELOCITY) * (secs - float_at(segment + FROM_SECS));
+}
+
+// When a return was measured, seconds after the scan's pose. Only if there are times.
+fn time_of(i: u32) -> f32 {
+    return float_at(frame.times_at + i);
 }
 
 // Places a point (sensor frame) as if it were a return's.
@@ -121,9 +184,10 @@ fn place_at(i: u32, point: vec3<f32>) -> Placed {
     var p = point;
     var origin = vec3(0.0);
     if frame.times_at != 0u {
-        let secs = bitcast<f32>(returns[frame.times_at + i]);
-        p = turned_after(p, secs);
-        origin = frame.velocity * secs;
+        let secs = time_of(i);
+        let segment = segment_at(secs);
+        p = to_first_axes(p, segment, secs);
+        origin = shift_at(segment, secs);
     }
     return Placed(frame.world_x * p.x + frame.world_y * p.y + frame.world_z * p.z + origin, origin);
 }
@@ -141,7 +205,7 @@ fn corner_of(block: vec3<i32>) -> vec3<f32> {
     return vec3<f32>((block << vec3(3u)) - frame.anchor_voxel) - frame.anchor_fraction;
 }
 
-// Lists a block that this scan updates, the first time.
+// Lists a block that this scan updates, when called for the first time.
 fn note_update(slot: u32) {
     if atomicLoad(&blocks[slot].stamp) != frame.stamp && atomicExchange(&blocks[slot].stamp, frame.stamp) != frame.stamp {
         list_update(slot);

@@ -1,26 +1,26 @@
-// The organized image of a scan: which return was measured by which laser at which firing. See `tsdfuse::sensor::image`, whose cells
-// these are. Cells go ring by ring; columns wrap around.
+// The organized image of a scan: which laser measured which return at which firing. The cells are those of `tsdfuse::sensor::image`,
+// ring by ring; columns wrap around.
 
 struct Cell {
     // In world axes relative to the anchor, metres.
     point: vec3<f32>,
-    // The return; INVALID if it has no place, NONE if there is none.
+    // The return; INVALID if it cannot be placed, NONE if there is none.
     i: u32,
 }
 
-// Where a return is seen.
+// The cell of a return.
 struct Place {
-    // In columns; below 0 for a return that has none.
+    // In columns; negative if the return has none.
     azimuth: f32,
     // Or NONE.
     cell: u32,
 }
 
-// Who wants a cell; all bits are flipped, so that the least wins by `atomicMax`, and 0 is none.
+// The returns that want a cell. All bits are flipped, so that the least value wins by `atomicMax`, and 0 means none.
 struct Offer {
-    // How far the nearest return is from its middle, columns.
+    // The distance of the nearest return from the cell's centre, columns.
     off: atomic<u32>,
-    // The first of these returns, and the first that would move there from a cell beside.
+    // The first return at that distance, and the first that would move here from a neighbouring cell.
     nearest: atomic<u32>,
     aside: atomic<u32>,
 }
@@ -36,12 +36,12 @@ fn cell_of(i: u32) -> u32 {
     return places[i].cell;
 }
 
-// Whether a cell has a return with a place.
+// Whether a cell holds a return that can be placed.
 fn is_there(cell: Cell) -> bool {
     return cell.i < INVALID;
 }
 
-// The column beside one.
+// The columns beside a column.
 fn next_column(column: u32) -> u32 {
     return select(column + 1u, 0u, column + 1u == frame.columns);
 }
@@ -50,15 +50,16 @@ fn column_before(column: u32) -> u32 {
     return select(column, frame.columns, column == 0u) - 1u;
 }
 
-// From where the ray of a cell's return came.
+// The start of the ray of a cell's return.
 fn origin_of(cell: Cell) -> vec3<f32> {
     if frame.times_at == 0u {
         return vec3(0.0);
     }
-    return frame.velocity * bitcast<f32>(returns[frame.times_at + cell.i]);
+    let secs = time_of(cell.i);
+    return shift_at(segment_at(secs), secs);
 }
 
-// Two rings a word.
+// Two rings per word.
 fn ring_of(i: u32) -> u32 {
     return returns[frame.rings_at + i / 2u] >> (16u * (i & 1u)) & 0xffffu;
 }
@@ -89,10 +90,10 @@ fn find_phases(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgr
 // The cell that a return wants.
 struct Wish {
     ring: u32,
-    // One too many at the end of a turn.
+    // May be one past the last at the end of a turn.
     column: u32,
     cell: u32,
-    // How far it is beyond the cell's middle, in columns.
+    // The return's offset from the cell's centre, in columns.
     off: f32,
 }
 
@@ -108,7 +109,7 @@ fn has_azimuth(i: u32) -> bool {
     return places[i].azimuth >= 0.0;
 }
 
-// The return nearest to the middle of a cell gets it, …
+// Each cell goes to the return nearest to its centre, …
 @compute @workgroup_size(64)
 fn offer_cells(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < frame.total; i += 64u * groups.x) {
@@ -119,7 +120,7 @@ fn offer_cells(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgr
     }
 }
 
-// … the first of several; …
+// … or to the first of several; …
 @compute @workgroup_size(64)
 fn choose_nearest(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < frame.total; i += 64u * groups.x) {
@@ -132,7 +133,7 @@ fn choose_nearest(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wor
     }
 }
 
-// … others move to the cell on their side, if that is empty and they are of another firing.
+// … the others move to the neighbouring cell on their side, if that is empty and they come from another firing.
 @compute @workgroup_size(64)
 fn move_aside(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < frame.total; i += 64u * groups.x) {
@@ -158,7 +159,7 @@ fn move_aside(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
 fn place_cells(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var cell = id.x; cell < frame.rings * frame.columns; cell += 64u * groups.x) {
         let nearest = atomicLoad(&offers[cell].nearest);
-        // ~0 is NONE.
+        // ~0 equals NONE.
         let i = ~select(nearest, atomicLoad(&offers[cell].aside), nearest == 0u);
         if i == NONE {
             cells[cell].i = NONE;

@@ -1,7 +1,7 @@
-// Housekeeping of the map: after a scan, and after growing.
+// Maintenance of the map, after a scan and after it has grown.
 
-// Limits the weights of the blocks that the scan updated, as `Voxel::limit` does: one block a workgroup, in
-// turns. Hardly ever is there anything to do.
+// Limits the weights of the blocks that the scan updated, like `Voxel::limit`. Workgroups loop over blocks. There is hardly ever
+// anything to do.
 @compute @workgroup_size(64)
 fn limit_weights(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     if atomicLoad(&state.flags) != 0u || atomicLoad(&state.heavy) == 0u {
@@ -19,7 +19,8 @@ fn limit_weights(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroup
     }
 }
 
-// Weight `max_sum` and the same F: distance · max_sum / weight, rounded towards zero, digit by digit since it needs 62 bits.
+// The weight `max_sum` with the same F: distance · max_sum / weight, rounded towards zero. The product needs 62 bits, so the division
+// goes bit by bit.
 fn limited(voxel: vec2<u32>, max_sum: u32) -> vec2<u32> {
     let distance = bitcast<i32>(voxel.y);
     let factor = u32(abs(distance)); // at most the weight, which is below 2³¹
@@ -43,7 +44,7 @@ fn limited(voxel: vec2<u32>, max_sum: u32) -> vec2<u32> {
     return vec2(max_sum, bitcast<u32>(select(i32(quotient), -i32(quotient), distance < 0)));
 }
 
-// Puts all blocks into an empty table.
+// Enters all blocks into an empty table.
 @compute @workgroup_size(64)
 fn fill_table(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let count = min(atomicLoad(&state.blocks), state.capacity);

@@ -1,33 +1,33 @@
-// Updating the voxels about thin lines, one thread a return: see `tsdfuse::fuse::lines`, whose walk this is.
+// Updating the voxels near thin lines, one thread per return: the walk of `tsdfuse::fuse::lines`.
 //
-// A method says what becomes of a return (`fuse_return`; mostly one line, see one_line.wgsl), how far voxels may be from a line (`reach_along`, `wide`)
-// and which update each of them gets (`rule`).
+// A method defines what a return becomes (`fuse_return`; mostly one line, see one_line.wgsl), how far voxels can be from a line
+// (`reach_along`, `wide`) and which update each of them gets (`rule`).
 
-// What became of a return.
+// Outcomes of a return.
 const FUSED: u32 = 0u;
 const OUTSIDE_GRID: u32 = 1u;
 const WITHOUT_NORMAL: u32 = 2u;
 const WITHOUT_WEIGHT: u32 = 3u;
-// What is not to be counted.
+// Not counted.
 const NO_RETURN: u32 = 4u;
 
 // √3/2: the largest distance of a point in a voxel to its centre, in voxels (5.6).
 const VOXEL_RADIUS: f32 = 0.8660254;
-// Widening of what is proposed, in voxels.
+// Margin of the voxels that are examined, in voxels.
 const SLACK: f32 = 0.01;
 
-// A line through a place in the grid (a voxel, and the position in it) along a unit vector.
+// A line along a unit vector through a place in the grid (a voxel, and the position in it).
 struct Line {
     voxel: vec3<i32>,
     fraction: vec3<f32>,
     axis: vec3<f32>,
-    // Voxels are at most this far from its centre along it, in voxels.
+    // The largest distance of updated voxels from the centre along the line, in voxels.
     reach: f32,
     weight: f32,
     outcome: u32,
 }
 
-// A voxel near a line: from the line's centre to its own, in voxels; that along the line; and the square of its length.
+// A voxel near a line: the vector from the line's centre to the voxel's, in voxels; its part along the line; its squared length.
 struct Near {
     offset: vec3<f32>,
     along: f32,
@@ -46,7 +46,7 @@ fn ray_of(i: u32) -> Ray {
     return ray_to(i, point_of(i));
 }
 
-// The ray of a return, were it measured at some point (sensor frame).
+// The ray of a return as if it had been measured at this point (sensor frame).
 fn ray_to(i: u32, point: vec3<f32>) -> Ray {
     if !is_valid(i) {
         return Ray(vec3(0.0), vec3(0.0), 0.0, OUTSIDE_GRID);
@@ -61,7 +61,7 @@ fn ray_to(i: u32, point: vec3<f32>) -> Ray {
     return Ray(end, along / range_m, range_m, FUSED);
 }
 
-// A line through a place relative to the anchor's voxel, voxels.
+// A line through a place, in voxels relative to the anchor's voxel.
 fn line(center: vec3<f32>, axis: vec3<f32>, weight: f32) -> Line {
     let voxel = floor(center);
     return Line(frame.anchor_voxel + vec3<i32>(voxel), center - voxel, axis, frame.truncation_vox, weight, FUSED);
@@ -82,10 +82,10 @@ fn no_line(outcome: u32) -> Line {
 // The last block that this thread found, and its slot.
 var<private> last_block: vec3<i32> = vec3(0x7fffffff);
 var<private> last_slot: u32 = NONE;
-// Whether this thread met a voxel that might exceed its largest weight.
+// Whether this thread updated a voxel that might exceed the largest weight.
 var<private> is_heavy: bool = false;
 
-// The slot of a block that this scan updates; the first time, the block is listed.
+// The slot of a block that this scan updates. The block is listed the first time.
 fn slot_to_update(block: vec3<i32>) -> u32 {
     let slot = slot_of(block);
     if slot == NONE {
@@ -96,7 +96,7 @@ fn slot_to_update(block: vec3<i32>) -> u32 {
     return slot;
 }
 
-// Makes the block of a voxel that will be updated, or updates the voxel: sums in fixed point, as `tsdfuse::map` has them.
+// Creates the block of a voxel that will be updated, or updates the voxel. Sums are fixed-point, as in `tsdfuse::map`.
 fn update(voxel: vec3<i32>, distance: f32, weight: f32) {
     let w = round(clamp(weight, 0.0, 1.0) * WEIGHT_SCALE);
     if w <= 0.0 {
@@ -128,7 +128,7 @@ fn turned_back(v: vec3<f32>, dominant: u32) -> vec3<f32> {
     return select(select(v.yzx, v.zxy, dominant == 1u), v, dominant == 0u);
 }
 
-// The voxels about a line: plane by plane across its dominant axis, two or three wide along the other two.
+// The voxels near a line: plane by plane across its dominant axis, two or three wide along the other two.
 fn walk(l: Line) {
     let a = abs(l.axis);
     let dominant = select(select(2u, 1u, a.y >= a.z), 0u, a.x >= a.y && a.x >= a.z);
@@ -161,7 +161,7 @@ fn walk(l: Line) {
 
 var<workgroup> outcomes: array<atomic<u32>, 5>;
 
-// Workgroups for all returns follow each other as often as a method has threads for each.
+// The workgroups for all returns are repeated for each thread that a method has per return.
 @compute @workgroup_size(64)
 fn fuse(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let groups = (frame.count + 63u) / 64u;

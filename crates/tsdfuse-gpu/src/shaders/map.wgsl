@@ -1,28 +1,28 @@
-// The map on the device: block table, blocks, state; the pool of voxels is in `pool` (generated, one binding a page).
-// See map.rs for the layout and for what happens when something is full.
+// The map on the device: block table, blocks, state. The code of the pool of voxels is generated, with one binding per page.
+// See map.rs for the layout, and for what happens when the map is full.
 
 const BLOCK_VOXELS: u32 = 512u;
 const WEIGHT_SCALE: f32 = 32768.0;
 const NONE: u32 = 0xffffffffu;
-// Entries that are looked at for one block before the table counts as full.
+// The table counts as full if a block finds no place within this many entries.
 const MAX_PROBES: u32 = 64u;
 // Flags.
 const TABLE_FULL: u32 = 1u;
 const POOL_FULL: u32 = 2u;
 
-// What is known of a block beside its voxels.
+// A block without its voxels.
 struct Block {
     index: vec3<i32>,
-    // The scan that updated it last.
+    // The last scan that updated it.
     stamp: atomic<u32>,
 }
 
 struct State {
-    // While any is set, scans change nothing.
+    // While any flag is set, scans change nothing.
     flags: atomic<u32>,
     // Blocks in the pool.
     blocks: atomic<u32>,
-    // Of the scan: blocks updated, returns fused, and those that were not, by reason.
+    // Counters of the scan: blocks updated, returns fused, and returns not fused, by reason.
     updated: atomic<u32>,
     fused: atomic<u32>,
     outside_grid: atomic<u32>,
@@ -30,19 +30,19 @@ struct State {
     without_weight: atomic<u32>,
     outside_image: atomic<u32>,
     hidden: atomic<u32>,
-    // Updates whose block was not there: always 0.
+    // Updates whose block does not exist: always 0.
     lost: atomic<u32>,
-    // Whether a voxel may be beyond its largest weight now.
+    // Whether a voxel may exceed the largest weight now.
     heavy: atomic<u32>,
-    // Entries of the table less 1, a power of two less 1.
+    // The number of entries of the table, a power of two, minus 1.
     table_mask: u32,
-    // Blocks that the pool has room for.
+    // How many blocks fit into the pool.
     capacity: u32,
     // The blocks that the scan updated: their coordinates and slots.
     list: array<vec4<i32>>,
 }
 
-// Four words an entry: the block's coordinates, their highest bit flipped so that 0 means empty, and its slot plus 1.
+// Four words per entry: the block's coordinates, with the highest bit flipped so that 0 means empty, and its slot plus 1.
 @group(0) @binding(0) var<storage, read_write> table: array<atomic<u32>>;
 @group(0) @binding(1) var<storage, read_write> blocks: array<Block>;
 @group(0) @binding(2) var<storage, read_write> state: State;
@@ -57,7 +57,7 @@ fn key(b: vec3<i32>) -> vec3<u32> {
     return vec3<u32>(b) ^ vec3<u32>(0x80000000u);
 }
 
-// Makes a word of the table a value, if it is empty: 0 if it is another one, 1 if it was so already, 2 if it became so.
+// Sets an empty word of the table. Returns 0 if the word has another value, 1 if it had this value before, 2 if it was set now.
 fn claim(word: u32, value: u32) -> u32 {
     loop {
         let old = atomicLoad(&table[word]);
@@ -80,8 +80,9 @@ struct Entry {
     is_new: bool,
 }
 
-// The entry of a block, which is made if it is not there. A word is set once and never changes, so whoever finds another
-// value goes on to the next entry, and everyone with the same block does; whoever sets the last word made the entry. No locks.
+// The entry of a block, created if it does not exist. A word is set once and never changes, so a thread that finds another value goes
+// on to the next entry, and so does every thread with the same block. The thread that sets the last word has created the entry. No
+// locks are needed.
 fn insert(block: vec3<i32>) -> Entry {
     let k = key(block);
     var entry = hash(block) & state.table_mask;
@@ -99,7 +100,7 @@ fn insert(block: vec3<i32>) -> Entry {
     return Entry(NONE, false);
 }
 
-// The slot of a block, or NONE. Not while blocks are being made.
+// The slot of a block, or NONE. Must not run while blocks are created.
 fn slot_of(block: vec3<i32>) -> u32 {
     let k = key(block);
     var entry = hash(block) & state.table_mask;
@@ -122,7 +123,7 @@ fn list_update(slot: u32) {
     state.list[atomicAdd(&state.updated, 1u)] = vec4(blocks[slot].index, i32(slot));
 }
 
-// Makes a block if it is not there.
+// Creates a block if it does not exist.
 fn allocate(block: vec3<i32>) {
     let entry = insert(block);
     if !entry.is_new {

@@ -4,7 +4,7 @@
 // Unit vectors whose sum is shorter than this cancel each other.
 const CANCELLED: f32 = 1e-3;
 
-// From a return to the one in some cell; w: whether there is one.
+// The vector from a return to the one in another cell; w: whether there is one.
 fn edge_to(p: vec3<f32>, ring: u32, column: u32) -> vec4<f32> {
     if ring >= frame.rings {
         return vec4(0.0);
@@ -28,7 +28,7 @@ fn similar(a: vec4<f32>, b: vec4<f32>) -> bool {
     return a.w * b.w > 0.0 && dot(a.xyz, b.xyz) > frame.min_dot;
 }
 
-// The normal towards the sensor, and how far the triangles agree (5.17); 0: there is no normal.
+// The normal that faces the sensor, and how well the triangles agree (5.17); 0 if there is no normal.
 fn normal_of(i: u32, p: vec3<f32>, ray: vec3<f32>) -> vec4<f32> {
     let cell = cell_of(i);
     if cell == NONE {
@@ -36,7 +36,7 @@ fn normal_of(i: u32, p: vec3<f32>, ray: vec3<f32>) -> vec4<f32> {
     }
     let ring = cell / frame.columns;
     let column = cell % frame.columns;
-    // Cyclic, so that two after another span an adjacent triangle [E3]. Ring 0 less 1 is none.
+    // In cyclic order, so that each two in a row span an adjacent triangle [E3]. Ring 0 − 1 wraps around to no ring.
     let e0 = edge_to(p, ring - 1u, column);
     let e1 = edge_to(p, ring, next_column(column));
     let e2 = edge_to(p, ring + 1u, column);
@@ -48,7 +48,7 @@ fn normal_of(i: u32, p: vec3<f32>, ray: vec3<f32>) -> vec4<f32> {
     let t1 = triangle(e1, e2);
     let t2 = triangle(e2, e3);
     let t3 = triangle(e3, e0);
-    // N_S: those with at least one similar other.
+    // N_S: the triangles that are similar to at least one other.
     let chosen = vec4<f32>(vec4(
         similar(t0, t1) || similar(t0, t2) || similar(t0, t3),
         similar(t0, t1) || similar(t1, t2) || similar(t1, t3),
@@ -87,7 +87,7 @@ fn line_of(i: u32) -> Line {
     return line(ray.end, found.xyz, weight);
 }
 
-// Distance over μ, and weight; a weight of 0: no update.
+// The distance divided by μ, and the weight; a weight of 0 means no update.
 fn rule(l: Line, v: Near) -> vec2<f32> {
     let inside = v.distance2 - v.along * v.along <= VOXEL_RADIUS * VOXEL_RADIUS && abs(v.along) <= frame.truncation_vox; // (5.14)(5.15)
     return vec2(v.along / frame.truncation_vox, select(0.0, l.weight, inside)); // (5.16)

@@ -1,4 +1,4 @@
-// Methods with one line a return (`line_of`).
+// Methods with one line per return (`line_of`).
 
 fn fuse_return(i: u32, thread: u32) -> u32 {
     let l = line_of(i);

@@ -1,7 +1,7 @@
 // Surface patches: lines along the normals of planes, between neighbours of one surface, and along rays. See `tsdfuse::fuse::patch`
 // and `tsdfuse::patch::between`.
 
-// Three threads a return: for itself, for what lies between it and the next ring, and the next column.
+// Three threads per return: for the return itself, for the link to the next ring, and for the link to the next column.
 fn fuse_return(i: u32, thread: u32) -> u32 {
     let cell = cell_of(i);
     let has_plane = cell != NONE && is_plane(patches[cell]);
@@ -51,12 +51,12 @@ fn fuse_ray(i: u32) -> u32 {
     return ray.outcome;
 }
 
-// The greatest power of two that is not above a number; at least 1.
+// The largest power of two up to a number; at least 1.
 fn nth(dense: f32) -> u32 {
     return 1u << firstLeadingBit(max(u32(dense), 1u));
 }
 
-// Fuses what lies between two neighbours, if they are of one surface.
+// Fuses the surface between two neighbours, if both lie on the same one.
 fn connect(a: Patch, b: Patch) {
     let apart = b.center - a.center;
     let gap = length(apart);
@@ -64,11 +64,11 @@ fn connect(a: Patch, b: Patch) {
     let growing = frame.max_gap_m * (range / FAR_M);
     let widest = max(growing, frame.max_gap_m);
     let kind = min(a.kind, b.kind);
-    // Without a plane there is no normal, and nothing is off it.
+    // Without a plane the normal is zero, and so is this.
     let off = max(abs(dot(a.normal, apart)), abs(dot(b.normal, apart)));
     var is_one = gap <= widest && off <= frame.window_m && abs(length(b.center) - length(a.center)) <= MIN_DOT * gap;
     if kind > RAY {
-        // A plane that takes part of a window only is known as far as that window reaches; others, as far as the sensor sees it.
+        // A plane through half of a window is known as far as the window reaches; a plane through a whole one, as far as the sensor sees it.
         let middle = a.center + b.center;
         let seen = apart - middle * (dot(apart, middle) / max(dot(middle, middle), 1e-30));
         let far = select(min(max(growing, 2.0 * frame.window_m), widest), widest, kind == WHOLE);
@@ -87,7 +87,7 @@ fn connect(a: Patch, b: Patch) {
     }
 }
 
-// Distance over μ, and weight, which falls behind the surface; a weight of 0: no update.
+// The distance divided by μ, and the weight, which falls behind the surface; a weight of 0 means no update.
 fn rule(l: Line, v: Near) -> vec2<f32> {
     let behind = l.reach * (BEHIND / FRONT);
     let full = l.reach * (FULL_BEHIND / FRONT);

@@ -1,7 +1,7 @@
-// Images in which the nearest return of a pixel stays: depth images and cylindrical ones.
+// Images that keep the nearest return of each pixel: depth images and cylindrical ones.
 
-// Row by row, how deep the nearest return of each pixel is, metres: all bits are flipped, so that the least wins by `atomicMax`, and
-// 0 is none. Then what a method notes beside these.
+// The depth of the nearest return of each pixel, row by row, metres. All bits are flipped, so that the least value wins by `atomicMax`,
+// and 0 means none. Further values of the method follow.
 @group(1) @binding(4) var<storage, read_write> pixels: array<atomic<u32>>;
 
 fn pixel_count() -> u32 {
@@ -16,7 +16,7 @@ fn depth_bits(pixel: u32) -> u32 {
 var<workgroup> hidden: atomic<u32>;
 var<workgroup> outside_image: atomic<u32>;
 
-// Offers a return to its pixel, or NONE, and counts those that another one hides.
+// Offers a return to its pixel, or to NONE, and counts the returns that another one hides.
 fn offer(pixel: u32, depth: f32) {
     if pixel == NONE {
         atomicAdd(&outside_image, 1u);
@@ -25,7 +25,7 @@ fn offer(pixel: u32, depth: f32) {
     }
 }
 
-// Tells what a workgroup counted.
+// Adds the counters of a workgroup to the scan's.
 fn tell_offers(lane: u32) {
     workgroupBarrier();
     if lane == 0u {

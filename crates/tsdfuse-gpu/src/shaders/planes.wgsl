@@ -1,5 +1,5 @@
-// The plane that each return lies on, from the returns in a window about its cell: see `tsdfuse::patch`, and `constants` for what is
-// tuned there.
+// The plane that each return lies on, from the returns in a window around its cell: see `tsdfuse::patch`, and constants.rs for the
+// tuning constants.
 
 // The tangent of the angle between a ring and the next.
 fn ring_gap(ring: u32) -> f32 {
@@ -7,21 +7,21 @@ fn ring_gap(ring: u32) -> f32 {
 }
 
 struct Patch {
-    // Where the surface is, world axes relative to the anchor, metres.
+    // A point of the surface, world axes relative to the anchor, metres.
     center: vec3<f32>,
     kind: u32,
-    // Towards the sensor; zero at a return without a plane.
+    // Faces the sensor; zero for a return without a plane.
     normal: vec3<f32>,
 }
 
-// What is known about the surface at a patch: no return, where a ray ends, a plane through half of the returns around, or through all.
+// What is known about the surface at a patch: nothing, the end of a ray, a plane through half of the window, or through all of it.
 const NOWHERE: u32 = 0u;
 const RAY: u32 = 1u;
 const HALF: u32 = 2u;
 const WHOLE: u32 = 3u;
 
 @group(1) @binding(6) var<storage, read_write> patches: array<Patch>;
-// The standard deviation of ranges, then the squared noise that windows tell of; infinite where they tell nothing.
+// The standard deviation of ranges, then the squared noise that each sampled window shows; infinite where a window shows none.
 @group(1) @binding(7) var<storage, read_write> noise: array<u32>;
 
 const INFINITE: u32 = 0x7f800000u;
@@ -38,14 +38,14 @@ fn noise_m() -> f32 {
     return bitcast<f32>(noise[0]);
 }
 
-// A window about a cell, as far as it reaches to lower rings, higher ones, lower columns and higher ones.
+// A window around a cell; its reach to lower rings, higher rings, lower columns and higher columns.
 struct Window {
     ring: u32,
     column: u32,
     reach: vec4<u32>,
 }
 
-// Which sides of a window a half of it takes.
+// The sides of the window that each half of it keeps.
 const HALVES = array(vec4(1u, 1u, 1u, 0u), vec4(1u, 1u, 0u, 1u), vec4(1u, 0u, 1u, 1u), vec4(0u, 1u, 1u, 1u));
 
 fn window_about(cell: u32, range_m: f32) -> Window {
@@ -60,14 +60,14 @@ fn window_about(cell: u32, range_m: f32) -> Window {
 // Least squares over the returns of a window: see `tsdfuse::patch::plane`.
 struct Plane {
     normal: vec3<f32>,
-    // From the return in the middle.
+    // Relative to the return in the middle.
     mean: vec3<f32>,
     residual2: f32,
     spread2: f32,
     count: f32,
 }
 
-// The sums are taken relative to the return in the middle, so that they have no large parts to cancel.
+// The sums are relative to the return in the middle, so that no large parts cancel.
 fn plane_of(window: Window, middle: vec3<f32>) -> Plane {
     var count = 0.0;
     var sum = vec3(0.0);
@@ -105,14 +105,14 @@ fn columns_of(m: Symmetric) -> mat3x3<f32> {
     return mat3x3(vec3(m.diagonal.x, b.xy), vec3(b.x, m.diagonal.y, b.z), vec3(b.yz, m.diagonal.z));
 }
 
-// The square, scaled to a trace of 1 before.
+// The square of a matrix that is first scaled to a trace of 1.
 fn squared(m: Symmetric) -> Symmetric {
     let scale = 1.0 / max(m.diagonal.x + m.diagonal.y + m.diagonal.z, 1e-37);
     let c = columns_of(Symmetric(m.diagonal * scale, m.beside * scale));
     return Symmetric(vec3(dot(c[0], c[0]), dot(c[1], c[1]), dot(c[2], c[2])), vec3(dot(c[0], c[1]), dot(c[0], c[2]), dot(c[1], c[2])));
 }
 
-// The plane of a covariance: its normal is the least eigenvalue's vector, the only one that is left in a high power of the cofactors.
+// The plane of a covariance. The normal is the eigenvector of the least eigenvalue, which dominates a high power of the cofactors.
 fn fit(covariance: Symmetric, mean: vec3<f32>, count: f32) -> Plane {
     let d = covariance.diagonal;
     let b = covariance.beside;
@@ -123,14 +123,14 @@ fn fit(covariance: Symmetric, mean: vec3<f32>, count: f32) -> Plane {
     let longest = select(select(c[2], c[1], p.y >= p.z), c[0], p.x >= p.y && p.x >= p.z);
     let normal = longest / max(length(longest), 1e-37);
     let least = max(dot(columns_of(covariance) * normal, normal), 0.0);
-    // The two other eigenvalues have this sum and this product.
+    // The sum and the product of the other two eigenvalues.
     let sum = d.x + d.y + d.z - least;
     let product = cofactors.diagonal.x + cofactors.diagonal.y + cofactors.diagonal.z - least * sum;
     let greater = 0.5 * (sum + sqrt(max(sum * sum - 4.0 * product, 0.0)));
     return Plane(normal, mean, least * count / max(count - 3.0, 1.0), product / max(greater, 1e-37), count);
 }
 
-// A return's patch, and its mean squared residual; infinite where the plane is no surface that it lies on.
+// A return's patch, and its mean squared residual; infinite if the return does not lie on a plane.
 struct Found {
     surface: Patch,
     residual2: f32,
@@ -141,7 +141,7 @@ fn judge(plane: Plane, kind: u32, point: vec3<f32>, ray: vec3<f32>) -> Found {
     let off = dot(plane.normal, plane.mean);
     let cosine2 = facing * facing / max(dot(ray, ray), 1e-37);
     let noise2 = noise_m() * noise_m();
-    // What is expected across the plane: of the noise, what does not lie along it.
+    // The expected residual across the plane: the part of the noise that does not lie in the plane.
     let noise2_across = noise2 * cosine2;
     let expected2 = noise2_across + ROUGHNESS_M * ROUGHNESS_M;
     let is_surface = plane.count >= MIN_RETURNS
@@ -153,12 +153,12 @@ fn judge(plane: Plane, kind: u32, point: vec3<f32>, ray: vec3<f32>) -> Found {
         return Found(Patch(point, RAY, vec3(0.0)), bitcast<f32>(INFINITE));
     }
     let normal = select(plane.normal, -plane.normal, facing > 0.0);
-    // Of what is off the plane, noise goes, and shape stays.
+    // Of the distance from the plane, the part that is noise is removed, and the part that is shape stays.
     let noise = min(noise2_across / max(plane.residual2, 1e-37), 1.0);
     return Found(Patch(point + plane.normal * (noise * off), kind, normal), plane.residual2);
 }
 
-// The squared noise that the windows of some returns tell of.
+// The squared noise that the windows of some returns show.
 @compute @workgroup_size(64)
 fn sample_noise(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var n = id.x; n * SAMPLE < frame.total; n += 64u * groups.x) {
@@ -179,12 +179,12 @@ fn sample_noise(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
 }
 
 var<workgroup> histogram: array<atomic<u32>, 256>;
-// The bits that are known of the value that is looked for, and how many of those that share them are below it.
+// The known bits of the value that is searched for, and how many of the values that share these bits are below it.
 var<workgroup> known: u32;
 var<workgroup> below: u32;
 
-// The third of the windows with the least noise are surface: its largest one counts. Bits of a number that is not negative
-// are in its order, so it is found eight bits after eight bits.
+// The third of the windows with the least noise is assumed to be surface, and its largest noise is the result. The bits of numbers that
+// are not negative have the numbers' order, so the result is found eight bits at a time.
 @compute @workgroup_size(256)
 fn choose_noise(@builtin(local_invocation_index) lane: u32) {
     let count = (frame.total + SAMPLE - 1u) / SAMPLE;
@@ -203,7 +203,7 @@ fn choose_noise(@builtin(local_invocation_index) lane: u32) {
         workgroupBarrier();
         for (var n = lane; n < count; n += 256u) {
             let bits = noise[n + 1u];
-            // No shift by 32 bits.
+            // Avoids a shift by 32 bits.
             if bits < INFINITE && (bits >> shift) >> 8u == (known >> shift) >> 8u {
                 atomicAdd(&histogram[bits >> shift & 255u], 1u);
             }
@@ -227,7 +227,7 @@ fn choose_noise(@builtin(local_invocation_index) lane: u32) {
     }
 }
 
-// The patch of each cell's return: of its whole window, or else of the half with the least residual.
+// The patch of each cell's return: from its whole window, or else from the half with the least residual.
 @compute @workgroup_size(64)
 fn find_planes(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < frame.rings * frame.columns; i += 64u * groups.x) {
@@ -240,7 +240,7 @@ fn find_planes(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgr
         let window = window_about(i, length(ray));
         let whole = plane_of(window, cell.point);
         var best = judge(whole, WHOLE, cell.point, ray);
-        // Halves have fewer returns still.
+        // Halves have even fewer returns.
         if !is_plane(best.surface) && whole.count >= MIN_RETURNS {
             for (var k = 0; k < 4; k++) {
                 let half = Window(window.ring, window.column, window.reach * HALVES[k]);

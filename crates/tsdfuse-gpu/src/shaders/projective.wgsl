@@ -12,14 +12,14 @@ fn wide(axis: vec3<f32>) -> f32 {
     return select(3.0, 2.0, abs(axis.y) < (1.0 - 2.0 * SLACK) * abs(axis.x));
 }
 
-// Whether a line passes through a voxel: seen along each edge of the voxel, it must run within the square that that shows.
+// Whether a line passes through a voxel: seen along each edge of the voxel, the line must cross the square that the voxel covers.
 fn pierced(axis: vec3<f32>, offset: vec3<f32>) -> bool {
     let off = offset.yzx * axis.zxy - offset.zxy * axis.yzx;
     let half = max(0.5 * (abs(axis.yzx) + abs(axis.zxy)), vec3(STILL));
     return all(off > -half) && all(off <= half);
 }
 
-// Distance over μ, and weight; a weight of 0: no update.
+// The distance divided by μ, and the weight; a weight of 0 means no update.
 fn rule(l: Line, v: Near) -> vec2<f32> {
     let truncation = frame.truncation_vox;
     let inside = pierced(l.axis, v.offset) && v.distance2 <= truncation * truncation;

@@ -1,10 +1,10 @@
-// Views of the map: one thread a pixel, through blocks, through the cells of those with surface, to the first cell where F
-// falls from ≥ 0 to < 0. See `tsdfuse::render`, whose hits these are.
+// Views of the map: one thread per pixel walks through the blocks, and through the cells of blocks with surface, to the first place
+// where F falls from ≥ 0 to < 0. The hits are those of `tsdfuse::render`.
 //
 // Lengths are in voxels, places relative to the cell of the camera; cell c begins at the centre of voxel c.
 
 struct View {
-    // The camera's cell, and its place in it.
+    // The camera's cell, and the camera's place in it.
     base: vec3<i32>,
     width: u32,
     origin: vec3<f32>,
@@ -23,7 +23,7 @@ struct View {
     pad_high: u32,
 }
 
-// What a pixel sees; a range of 0: nothing. As `tsdfuse::render::Hit`.
+// What a pixel sees, as in `tsdfuse::render::Hit`; a range of 0 means nothing.
 struct Hit {
     normal: vec3<f32>,
     range_m: f32,
@@ -34,7 +34,7 @@ struct Hit {
 }
 
 @group(1) @binding(5) var<uniform> view: View;
-// The direction of each pixel (camera's axes), and the depth of what is seen at range 1 there.
+// The direction of each pixel (camera's axes), and the depth of a point at range 1 in that direction.
 @group(1) @binding(6) var<storage, read> rays: array<vec4<f32>>;
 @group(1) @binding(7) var<storage, read_write> hits: array<Hit>;
 
@@ -64,7 +64,7 @@ fn polynomial(c: vec4<f32>, u: f32) -> f32 {
     return c.x + u * (c.y + u * (c.z + u * c.w));
 }
 
-// The root on a monotone piece between two places on either side of it, by false position (Illinois).
+// The root between two places, where the function is monotone, by false position (Illinois).
 fn root(c: vec4<f32>, from_u: f32, from_f: f32, to_u: f32, to_f: f32) -> f32 {
     if from_f <= 0.0 {
         return from_u;
@@ -93,7 +93,7 @@ fn root(c: vec4<f32>, from_u: f32, from_f: f32, to_u: f32, to_f: f32) -> f32 {
     return u;
 }
 
-// Where the way from `enter` to `leave` first falls below F = 0, as a share of the way; below 0: nowhere. F is a cubic there,
+// Where F first falls below 0 on the way from `enter` to `leave`, as a share of the way; negative if nowhere. F is a cubic there,
 // monotone between its extrema.
 fn crossing(c: Corners, enter: vec3<f32>, leave: vec3<f32>) -> f32 {
     let third = (leave - enter) / 3.0;
@@ -108,7 +108,7 @@ fn crossing(c: Corners, enter: vec3<f32>, leave: vec3<f32>) -> f32 {
     var ends = vec3(3.0);
     let inside = k.z * k.z - 3.0 * k.y * k.w;
     if inside > 0.0 {
-        // The form that does not cancel.
+        // This form does not cancel.
         let q = -(k.z + select(-sqrt(inside), sqrt(inside), k.z >= 0.0));
         var e = vec2(3.0);
         if abs(k.w) > 1e-30 {
@@ -147,7 +147,7 @@ fn gradient(slot: u32, v: vec3<i32>) -> vec3<f32> {
     return g;
 }
 
-// What a ray meets in a cell with surface, between two ranges; `local` is the cell's place in the block, `cell` in the view.
+// What a ray hits in a cell with surface, between two ranges; `local` is the cell's place in the block, `cell` that in the view.
 fn meet(slot: u32, local: vec3<i32>, cell: vec3<i32>, direction: vec3<f32>, enter_t: f32, leave_t: f32) -> Hit {
     var nothing: Hit;
     var f: array<f32, 8>;
@@ -173,7 +173,7 @@ fn meet(slot: u32, local: vec3<i32>, cell: vec3<i32>, direction: vec3<f32>, ente
         g += gradient(slot, local + corner(c)) * (share.x * share.y * share.z);
     }
     let steep = length(g);
-    // Where the field is flat, only the ray tells a direction.
+    // Where the field is flat, the ray's direction serves.
     let normal = select(-direction, g / max(steep, 1e-30), steep > 1e-20);
     let weight = trilinear(Corners(vec4(w[0], w[1], w[2], w[3]), vec4(w[4], w[5], w[6], w[7])), at);
     return Hit(normal, range_vox * view.voxel_size_m, 0.0, -dot(normal, direction), weight, 0.0);
@@ -185,7 +185,7 @@ fn least(v: vec3<f32>) -> f32 {
 
 fn first_hit(direction: vec3<f32>) -> Hit {
     var nothing: Hit;
-    // Not quite parallel to any axis, so that all is finite.
+    // Not exactly parallel to any axis, so that all quotients are finite.
     let up = direction >= vec3(0.0);
     let d = select(-max(-direction, vec3(1e-9)), max(direction, vec3(1e-9)), up);
     let inverse = 1.0 / d;
@@ -218,7 +218,7 @@ fn first_hit(direction: vec3<f32>) -> Hit {
                 at = leave;
             }
         }
-        // To the next block: across the sides that are reached, else to where the ray is by now.
+        // On to the next block: across the sides that are reached, or else to the block where the ray is now.
         let sides = (vec3<f32>(first + select(vec3(0), vec3(8), up)) - o) * inverse;
         t = max(t, least(sides));
         let inside = clamp(vec3<i32>(floor(o + d * t)), first, first + 7);

@@ -1,4 +1,4 @@
-// Where the surface is: what meshing and rendering both begin with.
+// Finding the surface, the first step of meshing and rendering.
 //
 // A word for each row of each block (voxels along x at some y and z): three bits for each voxel, whether the grid edges
 // from it along x, y and z have a vertex (bits 3x + axis), and above them, eight bits for the cells with surface. A cell is
@@ -9,7 +9,7 @@ struct Surface {
     blocks: u32,
     // Voxels with a smaller weight sum count as never observed.
     min_sum: u32,
-    // Of the part of the mesh that is written: the first block in the list, and how many; its first vertex and triangle.
+    // The part of the mesh that is written: its first block in the list, the number of blocks, its first vertex and triangle.
     first: u32,
     count: u32,
     first_vertex: u32,
@@ -17,21 +17,22 @@ struct Surface {
 }
 
 @group(1) @binding(0) var<uniform> surface: Surface;
-// 27 slots a block: of the one at (x, y, z) − 1 from it, number x + 3y + 9z.
+// 27 slots per block: that of the block at offset (x, y, z) − 1 has number x + 3y + 9z.
 @group(1) @binding(1) var<storage, read_write> neighbours: array<u32>;
-// 64 rows a block, number y + 8z.
+// 64 rows per block, number y + 8z.
 @group(1) @binding(2) var<storage, read_write> rows: array<u32>;
-// Vertices and triangles of each block.
+// The numbers of vertices and triangles of each block.
 @group(1) @binding(3) var<storage, read_write> counts: array<vec2<u32>>;
-// Of each case of marching cubes: the number of triangles, and their edges, four bits each.
+// The cases of marching cubes: the number of triangles, and their edges, four bits each.
 @group(1) @binding(4) var<storage, read> cases: array<vec3<u32>>;
 
 const EDGES: u32 = 0x00ffffffu;
 
-// The slots about the block that a workgroup has.
+// The slots of the workgroup's block and its neighbours.
 var<workgroup> near: array<u32, 27>;
 
-// Where a voxel is, by its coordinates relative to the block's first, −8..16: the number of its block, and its own there.
+// The number of a voxel's block among these, and the voxel's number in it, from its coordinates relative to the first voxel of the
+// workgroup's block, −8..16.
 fn block_number(v: vec3<i32>) -> u32 {
     let b = vec3<u32>((v >> vec3(3u)) + 1);
     return b.x + 3u * b.y + 9u * b.z;
@@ -49,7 +50,7 @@ fn voxel_of(slot: u32, v: vec3<i32>) -> vec2<u32> {
     return load_voxel(slot, local_number(v));
 }
 
-// F of a voxel; beyond 1 where it was not observed.
+// F of a voxel; above 1 if it was not observed.
 const UNOBSERVED: f32 = 4.0;
 
 fn distance_of(voxel: vec2<u32>) -> f32 {

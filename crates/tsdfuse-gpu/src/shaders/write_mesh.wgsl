@@ -1,15 +1,15 @@
 // Writes the vertices and triangles of the blocks with surface, in the order of the list.
 //
-// A vertex belongs to the block that holds the lower end of its grid edge. Its number there follows from counting bits, so a
-// neighbour finds it without any table.
+// A vertex belongs to the block that contains the lower end of its grid edge. Its number there follows from counting bits, so
+// neighbours need no table to find it.
 
 // Slot, first vertex and first triangle of each block with surface.
 @group(1) @binding(5) var<storage, read> list: array<vec3<u32>>;
 // The first vertex of each block, by slot.
 @group(1) @binding(6) var<storage, read> first_vertices: array<u32>;
-// Six numbers a vertex: its place relative to the centre of the block's first voxel, in voxels, and its normal.
+// Six numbers per vertex: its place relative to the centre of the block's first voxel, in voxels, and its normal.
 @group(1) @binding(7) var<storage, read_write> vertices: array<f32>;
-// Three a triangle.
+// Three numbers per triangle.
 @group(1) @binding(8) var<storage, read_write> triangles: array<u32>;
 
 // Vertices keep this distance, in voxels, from the voxel centres.
@@ -78,7 +78,7 @@ fn write_mesh(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) 
             }
         }
         workgroupBarrier();
-        // Eight sums, one thread each; and one of triangles.
+        // Eight sums, one thread each, and one more for the triangles.
         let y = i32(lane & 7u);
         let z = i32(lane >> 3u);
         let crossed = offsets[lane];
@@ -149,7 +149,7 @@ fn write_vertex(number: u32, v: vec3<i32>, axis: u32) {
     let t = clamp(f0 / (f0 - f1), MARGIN, 1.0 - MARGIN);
     let g = gradient(v) * (1.0 - t) + gradient(v + along) * t;
     let steep = length(g);
-    // Where the field is flat, the edge tells the direction.
+    // Where the field is flat, the edge's direction serves.
     let flat_normal = vec3<f32>(along) * select(-1.0, 1.0, f1 > f0);
     let normal = select(flat_normal, g / max(steep, 1e-30), steep > 1e-20);
     let place = vec3<f32>(v) + vec3<f32>(along) * t;

@@ -57,6 +57,13 @@ pub(crate) fn on_gpu(
     (fuser.map().download().unwrap(), done)
 }
 
+/// Some pages, and little room at first.
+const STREET: PoolConfig = PoolConfig {
+    first_blocks: 3000,
+    page_blocks: 8192,
+    pages: 3,
+};
+
 pub(crate) fn new_map(gpu: &Gpu, pool: PoolConfig) -> DeviceMap {
     DeviceMap::new(gpu, MapConfig::default(), pool).unwrap()
 }
@@ -81,6 +88,55 @@ fn moving_scans(count: usize) -> Vec<Scan> {
         }
     };
     (0..count).map(moving).collect()
+}
+
+/// The same sensor with four more poses, two segments of which are turns that the straight line between its ends leaves out.
+fn winding(mut scan: Scan) -> Scan {
+    let own = scan.pose.unwrap();
+    let at = |secs, x, y, yaw, roll| PoseAt {
+        secs,
+        pose: own
+            * Pose {
+                rotation: DQuat::from_rotation_z(yaw) * DQuat::from_rotation_x(roll),
+                translation: DVec3::new(x, y, 0.3 * x),
+            },
+    };
+    scan.motion = vec![
+        at(-0.01, -0.05, 0.1, -0.1, 0.02),
+        at(0.03, 0.2, 0.05, 0.15, -0.05),
+        at(0.06, 0.1, -0.2, -0.1, 0.1),
+        at(0.1, 0.4, -0.1, 0.2, 0.0),
+    ];
+    scan
+}
+
+/// The same scan with the last of its poses alone.
+pub(crate) fn straightened(mut scan: Scan) -> Scan {
+    scan.motion.drain(..scan.motion.len() - 1);
+    scan
+}
+
+#[test]
+fn a_sweep_with_five_poses_agrees_with_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let config = FuseConfig::default();
+    let (rooms, (streets, sensor)) = (moving_scans(3), sweeps(2));
+    let rooms: Vec<Scan> = rooms.into_iter().map(winding).collect();
+    let streets: Vec<Scan> = streets.into_iter().map(winding).collect();
+    for (method, scans, sensor) in [
+        (Method::Raycast, &rooms, None),
+        (Method::Normals, &streets, Some(&sensor)),
+        (Method::Cylindrical, &streets, Some(&sensor)),
+    ] {
+        let (want, cpu) = on_cpu(scans, method, &config, MapConfig::default(), sensor);
+        let (got, device) = on_gpu(scans, method, &config, new_map(gpu, STREET), sensor);
+        assert_agrees(&got, &want, ROUNDING, &format!("five poses, {}", method.name()));
+        assert_same_counts(&device, &cpu);
+        // The poses between are not ignored.
+        let straight: Vec<Scan> = scans.iter().cloned().map(straightened).collect();
+        let (other, _) = on_gpu(&straight, method, &config, new_map(gpu, STREET), sensor);
+        assert!(differing(&voxels(&other), &voxels(&want), ROUNDING) > 0.3);
+    }
 }
 
 pub(crate) fn assert_same_counts(device: &[Fused], cpu: &[Fused]) {
@@ -328,7 +384,7 @@ fn a_crowd_of_returns_in_one_voxel_overflows_nothing() {
     let crowd = Scan {
         name: "crowd".into(),
         points: vec![Vec3::new(0.8, 0.01, 0.01); 150_000],
-        pose: Some(tsdfuse::Pose::IDENTITY),
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     };
     let config = FuseConfig::default();
@@ -362,7 +418,11 @@ fn a_scan_that_cannot_be_fused_changes_nothing_and_others_follow() {
         rings: Some(vec![0; 3]),
         ..good.clone()
     };
-    for bad in [&outside, &torn] {
+    let nowhere = Scan {
+        pose: None,
+        ..good.clone()
+    };
+    for bad in [&outside, &torn, &nowhere] {
         let told = fuser.integrate(bad).unwrap_err();
         assert!(matches!(
             told,
@@ -370,7 +430,10 @@ fn a_scan_that_cannot_be_fused_changes_nothing_and_others_follow() {
         ));
         assert!(told.is_bad_scan() && !told.is_full());
     }
-    let nothing = Scan::default();
+    let nothing = Scan {
+        pose: Some(Pose::IDENTITY),
+        ..Default::default()
+    };
     let mut done = fuser.integrate(&nothing).unwrap();
     done.extend(fuser.integrate(&good).unwrap());
     done.extend(fuser.finish().unwrap());
@@ -445,20 +508,7 @@ fn methods_that_know_the_beams_agree_with_the_cpu() {
     for method in [Method::Normals, Method::Cylindrical] {
         let config = FuseConfig::default();
         let (want, cpu) = on_cpu(&scans, method, &config, MapConfig::default(), Some(&sensor));
-        let (got, device) = on_gpu(
-            &scans,
-            method,
-            &config,
-            new_map(
-                gpu,
-                PoolConfig {
-                    first_blocks: 3000,
-                    page_blocks: 8192,
-                    pages: 3,
-                },
-            ),
-            Some(&sensor),
-        );
+        let (got, device) = on_gpu(&scans, method, &config, new_map(gpu, STREET), Some(&sensor));
         assert_agrees(&got, &want, ROUNDING, method.name());
         assert_same_counts(&device, &cpu);
     }

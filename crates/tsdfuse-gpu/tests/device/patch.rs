@@ -12,7 +12,7 @@ use tsdfuse_gpu::{DeviceMap, Fuser, PoolConfig};
 use crate::{
     common::scan,
     compare::{PLANES, assert_agrees, differing, voxels},
-    fusing::{assert_same_counts_but, new_map, on_cpu, on_gpu, sweeps},
+    fusing::{assert_same_counts_but, new_map, on_cpu, on_gpu, straightened, sweeps},
     gpu,
     map::SMALL,
 };
@@ -59,9 +59,9 @@ fn random(i: usize) -> f64 {
     (mixed >> 40) as f64 / (1_u64 << 24) as f64
 }
 
-/// A sensor of 24 beams in a room of 8 × 6 × 3 m, in front of a screen or not; in a sweep of 0.1 s it moves by `moved` (its own
-/// axes).
-fn room_scan(number: usize, has_screen: bool, moved: Option<Pose>) -> (Scan, SensorModel) {
+/// A sensor of 24 beams in a room of 8 × 6 × 3 m, in front of a screen or not; in a sweep of 0.1 s it moves to these poses one
+/// after the other (its own axes).
+fn room_scan(number: usize, has_screen: bool, moved: &[Pose]) -> (Scan, SensorModel) {
     let elevations = (0..24).map(|ring| ring as f32 * 2.0 - 24.0).collect();
     let sensor = SensorModel::from_beams("room", elevations, 480, (0.1, 100.0)).unwrap();
     let projection = Projection::new(&sensor);
@@ -69,26 +69,27 @@ fn room_scan(number: usize, has_screen: bool, moved: Option<Pose>) -> (Scan, Sen
         rotation: DQuat::from_rotation_z(0.01 * number as f64),
         translation: DVec3::new(0.02 * number as f64, 0.1, 0.05),
     };
+    let moved_count = moved.len() as f64;
     let mut scan = Scan {
         name: format!("room {number}"),
         pose: Some(pose),
-        motion: moved
-            .map(|moved| PoseAt {
+        motion: (1..)
+            .zip(moved)
+            .map(|(n, &moved)| PoseAt {
                 pose: pose * moved,
-                secs: 0.1,
+                secs: 0.1 / moved_count * f64::from(n),
             })
-            .into_iter()
             .collect(),
         times: Some(Vec::new()),
         ..Default::default()
     };
-    let trajectory = scan.sweep();
+    let sweep = scan.sweep();
     let cells = (0..24 * 480).filter(|i| i % 23 != 5);
     let point = |i: usize| {
         let (row, column) = ((i % 24) as f64, (i / 24) as f64);
         // It begins on its right, so that what is ahead comes late.
         let secs = 0.1 * (column / 480.0 + 0.75).fract();
-        let world_from_sensor = trajectory.as_ref().map_or(pose, |trajectory| trajectory.at(secs));
+        let world_from_sensor = sweep.as_ref().map_or(pose, |sweep| sweep.at(secs));
         let position = world_from_sensor.translation;
         let direction = projection.direction(Pixel { row, column });
         let ray = world_from_sensor.rotation * direction;
@@ -108,12 +109,12 @@ fn room_scan(number: usize, has_screen: bool, moved: Option<Pose>) -> (Scan, Sen
 }
 
 /// A screen that is there in the first two scans only.
-fn screen(count: usize, moved: Option<Pose>) -> (Vec<Scan>, SensorModel) {
+fn screen(count: usize, moved: &[Pose]) -> (Vec<Scan>, SensorModel) {
     let (scans, mut sensors): (Vec<_>, Vec<_>) = (0..count).map(|n| room_scan(n, n < 2, moved)).unzip();
     (scans, sensors.remove(0))
 }
 
-fn assert_erases_alike(moved: Option<Pose>, what: &str) {
+fn assert_erases_alike(moved: &[Pose], what: &str) {
     let Some(gpu) = gpu() else { return };
     let (scans, sensor) = screen(7, moved);
     assert_the_same(&scans, &FuseConfig::default(), Some(&sensor), what);
@@ -137,7 +138,7 @@ fn assert_erases_alike(moved: Option<Pose>, what: &str) {
 
 #[test]
 fn what_moved_on_is_erased_alike() {
-    assert_erases_alike(None, "patch, a screen");
+    assert_erases_alike(&[], "patch, a screen");
 }
 
 #[test]
@@ -146,13 +147,32 @@ fn what_moved_on_is_erased_alike_by_a_sensor_that_moves() {
         rotation: DQuat::from_rotation_z(0.18) * DQuat::from_rotation_x(-0.03),
         translation: DVec3::new(0.8, -0.6, 0.1),
     };
-    assert_erases_alike(Some(moved), "patch, a screen, moving sensor");
+    assert_erases_alike(&[moved], "patch, a screen, moving sensor");
+}
+
+#[test]
+fn what_moved_on_is_erased_alike_by_a_sensor_on_a_winding_way() {
+    let Some(gpu) = gpu() else { return };
+    let at = |x: f64, yaw: f64| Pose {
+        rotation: DQuat::from_rotation_z(yaw) * DQuat::from_rotation_x(-0.2 * yaw),
+        translation: DVec3::new(x, 0.4 * yaw, 0.1 * x),
+    };
+    let way = [at(0.1, 0.1), at(-0.2, -0.15), at(0.3, 0.2), at(0.5, -0.1)];
+    assert_erases_alike(&way, "patch, a screen, winding way");
+    // The poses between are not ignored.
+    let (scans, sensor) = screen(2, &way);
+    let straight: Vec<Scan> = scans.iter().cloned().map(straightened).collect();
+    let run = |scans: &[Scan]| {
+        let config = FuseConfig::default();
+        voxels(&on_gpu(scans, Method::Patch, &config, new_map(gpu, POOL), Some(&sensor)).0)
+    };
+    assert!(differing(&run(&scans), &run(&straight), PLANES) > 0.3);
 }
 
 #[test]
 fn other_windows_noise_and_gaps() {
     let Some(gpu) = gpu() else { return };
-    let (scans, sensor) = screen(2, None);
+    let (scans, sensor) = screen(2, &[]);
     for patch in [
         PatchConfig {
             window_m: 0.3,
@@ -181,7 +201,7 @@ fn other_windows_noise_and_gaps() {
 #[test]
 fn the_same_bits_however_often_the_map_grew_and_whoever_began_it() {
     let Some(gpu) = gpu() else { return };
-    let (scans, sensor) = screen(4, None);
+    let (scans, sensor) = screen(4, &[]);
     let config = FuseConfig::default();
     let run = |device: DeviceMap, scans: &[Scan]| on_gpu(scans, Method::Patch, &config, device, Some(&sensor));
     let (first, reports) = run(new_map(gpu, POOL), &scans);
@@ -207,19 +227,18 @@ fn scans_that_are_repeated_have_images_of_their_own() {
 #[test]
 fn empty_scans_and_invalid_returns_do_no_harm() {
     let Some(gpu) = gpu() else { return };
-    let (mut scans, sensor) = screen(1, None);
+    let (mut scans, sensor) = screen(1, &[]);
     let nowhere = Scan {
         name: "nowhere".into(),
         points: vec![Vec3::NAN; 9],
         rings: Some(vec![0; 9]),
-        pose: Some(tsdfuse::Pose::IDENTITY),
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     };
     let empty = Scan {
-        points: vec![],
-        ..nowhere.clone()
+        pose: Some(Pose::IDENTITY),
+        ..Default::default()
     };
-    let empty = Scan { rings: None, ..empty };
     scans.extend([empty, nowhere]);
     let mut fuser = Fuser::new(new_map(gpu, POOL), Method::Patch, &FuseConfig::default(), Some(&sensor)).unwrap();
     let mut done = Vec::new();

@@ -14,6 +14,6 @@ pub(crate) use building::{Building, building};
 pub(crate) use fixtures::*;
 pub(crate) use furniture::*;
 pub(crate) use goods::*;
-pub(crate) use parts::{FOOTING_M, Opening, Parts, Rng, pick};
+pub(crate) use parts::{Opening, Parts, Rng, pick};
 pub(crate) use plants::{conifer, hedge, tree};
 pub(crate) use vehicles::{car, forklift, van};

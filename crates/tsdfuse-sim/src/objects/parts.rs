@@ -9,6 +9,12 @@ use crate::primitive::Primitive;
 /// The generator of all variation: the same numbers on every platform.
 pub(crate) type Rng = rand_chacha::ChaCha8Rng;
 
+/// How deep things are set into a hall's floor, which is plane.
+pub(crate) const SUNK_M: f64 = 0.01;
+
+/// How deep things are set into the ground.
+pub(crate) const FOOTING_M: f64 = 0.15;
+
 /// One of several.
 pub(crate) fn pick<T: Copy>(rng: &mut Rng, choices: &[T]) -> T {
     choices[rng.random_range(0..choices.len() as u32) as usize]

@@ -181,7 +181,7 @@ impl Primitive {
 
     /// Where a ray of unit direction first enters the solid.
     pub(crate) fn enter(&self, origin: DVec3, direction: DVec3) -> Option<Entry> {
-        // Started abreast of the solid: the shapes' quadratics lose no digits to a distant origin.
+        // The ray starts abreast of the solid, so that a distant origin costs the shapes' quadratics no digits.
         let abreast = (self.centre - origin).dot(direction);
         let local = |v| self.scene_from_local.transpose_mul_vec3(v);
         let start = local(origin + direction * abreast - self.centre);

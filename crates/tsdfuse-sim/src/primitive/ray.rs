@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-/// A ray of unit direction that counts from `from` on.
+/// A ray of unit direction.
 pub(crate) struct Ray {
     pub(crate) origin: DVec3,
     pub(crate) direction: DVec3,
@@ -69,7 +69,7 @@ impl Aabb {
         s.x * s.y + s.y * s.z + s.z * s.x
     }
 
-    /// The stretch of the ray within the box; empty where the first is larger.
+    /// The stretch of the ray within the box; empty if the first number is larger.
     pub(crate) fn span(&self, ray: &Ray) -> (f64, f64) {
         let a = (self.min - ray.origin) * ray.inverse;
         let b = (self.max - ray.origin) * ray.inverse;

@@ -13,8 +13,8 @@ const DEPTH_M: f64 = 5.0;
 ///
 /// The surface is the sum of a height along x (slope, undulation) and a cross-section over y, in which two points with one y
 /// make a vertical step. Both are polylines, so the surface consists of plane parallelograms and everything about it is
-/// exact. Below it the solid is 5 m deep; its sides and underside are part of the signed distance, but rays and the mesh
-/// know the upper surface only.
+/// exact. Below it the solid is 5 m deep; its sides and underside are part of the signed distance, but not of the mesh,
+/// and rays do not hit them.
 ///
 /// ```
 /// use tsdfuse_sim::Terrain;

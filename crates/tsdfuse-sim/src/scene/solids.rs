@@ -24,7 +24,7 @@ use crate::primitive::{Aabb, Primitive};
 pub struct Scene {
     name: String,
     bvh: Bvh,
-    /// Where the solids' common frame lies in the world.
+    /// The origin of the solids' common frame in the world.
     offset: DVec3,
 }
 
@@ -35,7 +35,7 @@ pub struct Hit {
     pub range_m: f64,
     /// Unit normal of the surface, towards free space.
     pub normal: DVec3,
-    /// Which solid: its place in [`Scene::primitives`].
+    /// The index of the solid in [`Scene::primitives`].
     pub primitive: usize,
 }
 
@@ -49,7 +49,7 @@ impl Scene {
         }
     }
 
-    /// What it is called.
+    /// The scene's name.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -64,7 +64,7 @@ impl Scene {
         }
     }
 
-    /// How far [`Scene::translated`] has moved it, metres.
+    /// The offset by which [`Scene::translated`] has moved it, metres.
     pub fn offset_m(&self) -> DVec3 {
         self.offset
     }
@@ -79,7 +79,7 @@ impl Scene {
         self.bvh.signed_distance(point - self.offset)
     }
 
-    /// Where a ray, world coordinates, first enters a solid; the direction need not be a unit vector. Solids around the
+    /// Where a ray (world coordinates) first enters a solid; the direction need not be a unit vector. Solids around the
     /// origin are not seen from inside.
     pub fn cast(&self, origin: DVec3, direction: DVec3) -> Option<Hit> {
         self.cast_local(origin - self.offset, direction.try_normalize()?)
@@ -127,7 +127,7 @@ impl Scene {
         mesh
     }
 
-    /// Whether a triangle surely is inside a solid: its circumscribed ball about the centroid is.
+    /// Whether a triangle is certainly inside a solid, since a ball around it is.
     fn buried(&self, corners: [DVec3; 3]) -> bool {
         let centroid = corners.iter().sum::<DVec3>() / 3.0;
         let reach = corners.iter().map(|c| c.distance(centroid)).fold(0.0, f64::max);

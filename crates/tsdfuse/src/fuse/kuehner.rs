@@ -101,7 +101,7 @@ impl Kuehner {
             || Image::new(scan, &rings, sensor, max_gap_deg, buffers),
         );
         let anchor = anchor?;
-        let sensor_from_world = world_axes(scan).transpose();
+        let sensor_from_world = world_axes(scan)?.transpose();
         let seen = &mut self.seen;
         image
             .projection
