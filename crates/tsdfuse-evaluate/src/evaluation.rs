@@ -314,7 +314,7 @@ impl<'a> Workplace<'a> {
             scans_per_sec: Vec::new(),
             peak_memory_bytes: None,
             threads: report.threads,
-            map_bytes: report.map.bytes,
+            map_bytes: report.map.bytes as u64,
             map_blocks: report.map.blocks,
             triangles: mesh.triangles.len(),
             mesh_secs: f64::NAN,

@@ -21,9 +21,9 @@ pub struct Form {
 const NOTABLE: [(Method, &str, &str); 5] = [
     (Method::Raycast, "projective", "raycast.distance=projective"),
     (Method::Normals, "holz", "normals.estimator=holz"),
-    (Method::Surfel, "ground-flip", "surfel.ground_flip=true"),
+    (Method::Surfels, "ground-flip", "surfel.ground_flip=true"),
     // Discs of 1 σ, as the text of the thesis says.
-    (Method::Surfel, "literal", "surfel.radius_sigmas=1"),
+    (Method::Surfels, "literal", "surfel.radius_sigmas=1"),
     (Method::Roldao, "streaming", "roldao.form=streaming"),
 ];
 

@@ -78,7 +78,7 @@ pub struct Row {
     /// Threads that fused.
     pub threads: usize,
     /// Memory of the map.
-    pub map_bytes: usize,
+    pub map_bytes: u64,
     /// Its blocks.
     pub map_blocks: usize,
     /// Triangles of the mesh.

@@ -30,11 +30,11 @@ pub(crate) const FORMS: [Form; 12] = [
     form("normals-holz", Method::Normals, |config| {
         config.normals.estimator = Estimator::Holz;
     }),
-    form("surfel", Method::Surfel, |_| ()),
-    form("surfel-ground-flip", Method::Surfel, |config| {
+    form("surfel", Method::Surfels, |_| ()),
+    form("surfel-ground-flip", Method::Surfels, |config| {
         config.surfel.ground_flip = true;
     }),
-    form("surfel-literal", Method::Surfel, |config| config.surfel.radius_sigmas = 1.0),
+    form("surfel-literal", Method::Surfels, |config| config.surfel.radius_sigmas = 1.0),
     form("cylindrical", Method::Cylindrical, |_| ()),
     form("kuehner", Method::Kuehner, |_| ()),
     form("depth", Method::Depth, |_| ()),
