@@ -91,19 +91,14 @@ impl Form {
             chosen.extend(all.iter().filter(|form| name == ALL || form.name == name).cloned());
             if chosen.len() == count {
                 let known = Self::names().join(", ");
-                return Err(Error::config(format_args!(
-                    "no method {name}; there are all, {known}"
-                )));
+                return Err(Error::config(format_args!("no method {name}; there are all, {known}")));
             }
         }
         for text in written_out {
             chosen.push(Self::parse(text.as_ref())?);
         }
         match (1..chosen.len()).find(|&i| chosen[..i].contains(&chosen[i])) {
-            Some(twice) => Err(Error::config(format_args!(
-                "{} is asked for twice",
-                chosen[twice].name
-            ))),
+            Some(twice) => Err(Error::config(format_args!("{} is asked for twice", chosen[twice].name))),
             None => Ok(chosen),
         }
     }

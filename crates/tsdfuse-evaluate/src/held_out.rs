@@ -125,7 +125,11 @@ mod tests {
         assert_eq!((few.hold_out, few.held_out_indices(14)), (Some(4), vec![12]));
         for (hold_out, scans, told) in [
             (Some(1), 100, "would hold out every scan"),
-            (Some(30), 13, "3 scans are too few to hold out the middle one of each 30"),
+            (
+                Some(30),
+                13,
+                "3 scans are too few to hold out the middle one of each 30",
+            ),
             (None, 11, "one scan is too few to hold one out"),
         ] {
             let error = selection(&asked, hold_out, 10, scans).unwrap_err().to_string();

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // the setting for tests does not reach their helpers
 
+use std::cell::Cell;
 use std::fs;
 use std::path::Path;
 
@@ -56,7 +57,11 @@ fn each_method_is_measured_and_methods_take_turns() {
     let mut jobs: Vec<String> = Vec::new();
     let mut run = in_this_process();
     let mut runner = |job: &Job| {
-        let held_out = job.input.selection.hold_out.map_or(String::new(), |every| format!(" 1/{every}"));
+        let held_out = job
+            .input
+            .selection
+            .hold_out
+            .map_or(String::new(), |every| format!(" 1/{every}"));
         jobs.push(job.settings.texts().join(" ") + &held_out);
         run(job)
     };
@@ -100,22 +105,22 @@ fn each_method_is_measured_and_methods_take_turns() {
 #[test]
 fn without_any_method_that_can_be_used_the_reason_is_told() {
     let log = sphere();
-    let mut calls = 0;
+    let calls = Cell::new(0);
     let mut broken = |_: &Job| {
-        calls += 1;
+        calls.set(calls.get() + 1);
         Err("on purpose".to_owned())
     };
     let found = evaluation(log.path(), &["raycast", "normals"]).run(&mut broken, &mut |_| {});
     let told = found.unwrap_err().to_string();
     assert_eq!(told, "no method could be used; raycast: on purpose");
-    assert_eq!(calls, 2);
+    assert_eq!(calls.get(), 2);
     // Wrong options are found before anything is run.
     let wrong = Evaluation {
         margin_m: Some(f64::NAN),
         ..evaluation(log.path(), &["raycast"])
     };
     assert!(matches!(wrong.run(&mut broken, &mut |_| {}), Err(Error::Config(_))));
-    assert_eq!(calls, 2);
+    assert_eq!(calls.get(), 2);
 }
 
 #[test]
@@ -141,5 +146,9 @@ fn a_search_skips_bad_scans_as_all_runs_do() {
     let found = tuning.run(&mut |_| {}).unwrap();
     assert_eq!((found.ranking.len(), found.scans, found.all_scans), (1, 8, 8));
     assert_eq!(found.skipped_scans.len(), 1);
-    assert!(found.skipped_scans[0].reason.contains(&name), "{:?}", found.skipped_scans);
+    assert!(
+        found.skipped_scans[0].reason.contains(&name),
+        "{:?}",
+        found.skipped_scans
+    );
 }
