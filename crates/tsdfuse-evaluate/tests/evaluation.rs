@@ -21,7 +21,7 @@ fn sphere() -> TempDir {
         noise: NoiseModel::none(),
         ..Default::default()
     };
-    let simulator = Simulator::new(scene, tsdfuse::sensor::model("vlp16").unwrap(), path, config).unwrap();
+    let simulator = Simulator::new(scene, tsdfuse::sensor::model("pandar64").unwrap(), path, config).unwrap();
     let mut writer = Writer::create(folder.path()).unwrap();
     writer.write_sensor(simulator.sensor()).unwrap();
     for scan in simulator.scans() {
