@@ -45,15 +45,16 @@ impl HeldOutScans {
         let mut collector = Collector::new(self.margin_m);
         let mut skipped = Vec::new();
         for read in log.read_indices(self.indices.clone()) {
-            let name = read.name();
             let added = read.scan.map_err(Error::from).and_then(|mut scan| {
                 scan.drop_invalid(&config.range);
                 collector.add(&renderer, &scan).map_err(Error::failed)
             });
             match added {
                 Err(error) if self.skip_bad => {
-                    let reason = error.to_string();
-                    skipped.push(SkippedScan { name, reason });
+                    skipped.push(SkippedScan {
+                        name: log.scans()[read.index].name.clone(),
+                        reason: error.to_string(),
+                    });
                 }
                 other => other?,
             }
