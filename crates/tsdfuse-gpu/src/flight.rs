@@ -5,6 +5,7 @@ use std::sync::{
     atomic::{AtomicUsize, Ordering},
 };
 
+use rayon::slice::ParallelSliceMut;
 use tsdfuse::index::BlockIndex;
 use wgpu::BufferUsages as Usage;
 
@@ -198,7 +199,7 @@ impl Flight {
         if let Some(rest) = &self.rest {
             updated.append(&mut gpu.read_with(rest, 0, bytes - first as u64, blocks)?);
         }
-        updated.sort_unstable();
+        updated.par_sort_unstable();
         Ok((header, updated))
     }
 }

@@ -5,7 +5,7 @@ use tsdfuse::{
     fuse::{FuseConfig, Method, twin},
     glam::Vec3,
     scan::PoseAt,
-    sensor::{Cylindrical, DepthImage, NO_RING, NONE, Pinhole, ScanImage, model},
+    sensor::{CylindricalProjection, DepthImage, NO_RING, NONE, Pinhole, ScanImage, model},
 };
 
 use crate::{DeviceMap, Fused, Fuser, PoolConfig, device::tests::gpu, map::words};
@@ -134,7 +134,7 @@ fn pixels_of_cylindrical_images_have_the_cpus_returns() {
             },
             secs: 0.1,
         }];
-        let image = twin::cylindrical_image(&vlp, Cylindrical::phase_of(&scan.points, vlp.columns));
+        let image = twin::cylindrical_image(&vlp, CylindricalProjection::phase_of(&scan.points, vlp.columns));
         let mut want = vec![NONE; image.rows() * image.columns()];
         let depth = |i: u32| image.project(scan.points[i as usize]).depth_m;
         for (i, &p) in (0..).zip(&scan.points) {

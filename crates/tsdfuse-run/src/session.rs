@@ -57,7 +57,8 @@ fn open(map: VoxelMap, setup: &Setup, sensors: &[Option<SensorModel>]) -> Result
 /// ```
 pub struct Session {
     setup: Setup,
-    /// What messages call the log.
+    log: Log,
+    /// What messages call it.
     name: String,
     reading: Option<ReadAhead>,
     /// Poses of the scans to come, where they are known.
@@ -185,7 +186,11 @@ impl Session {
         };
         Self {
             setup,
-            name: log.name().to_owned(),
+            name: match &checkpoint.job {
+                Some(job) => job.input.path.display().to_string(),
+                None => log.format().to_owned(),
+            },
+            log: log.clone(),
             reading: Some(reading),
             next,
             backend,
@@ -298,8 +303,12 @@ impl Session {
 
     /// Fuses a scan, or skips it, and counts it as done.
     fn fuse_read(&mut self, read: ReadScan, wait: f64, observer: &mut dyn Observer) -> Result<()> {
-        let (index, name) = (read.index, read.name());
-        match self.take(read, wait, observer) {
+        let index = read.index;
+        let name = match self.log.scans().get(index) {
+            Some(scan) => scan.name.clone(),
+            None => format!("scan {index}"),
+        };
+        match self.take(read, &name, wait, observer) {
             Ok(()) => {}
             Err(RunError::BadScan(BadScan { reason, .. })) if self.setup.skip_bad => {
                 self.skip(index, SkippedScan { name, reason }, observer);
@@ -317,14 +326,13 @@ impl Session {
         Ok(())
     }
 
-    fn take(&mut self, read: ReadScan, wait: f64, observer: &mut dyn Observer) -> Result<()> {
+    fn take(&mut self, read: ReadScan, name: &str, wait: f64, observer: &mut dyn Observer) -> Result<()> {
         let ReadScan { index, sensor, .. } = read;
         let bad = |scan: &str, reason: String| BadScan {
             scan: scan.to_owned(),
             reason,
         };
-        let name = read.name();
-        let mut scan = read.scan.map_err(|error| bad(&name, error.to_string()))?;
+        let mut scan = read.scan.map_err(|error| bad(name, error.to_string()))?;
         let start = Instant::now();
         scan.drop_invalid(&self.setup.config.range);
         observer.on(Event::ScanRead { index, scan: &scan });

@@ -7,7 +7,8 @@ use tsdfuse::fuse::FuseError;
 use tsdfuse::index::RegionIndex;
 use tsdfuse::map::MapError;
 
-/// What is wrong with a store, or with what is read from it or written to it. Whatever it is, the file keeps the last commit.
+/// What is wrong with a store, or with what is read from it or written to it. Whatever it is, the file keeps the last
+/// commit.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The file cannot be created, read or written: the disk is full, for instance.

@@ -1,9 +1,8 @@
 //! The file: regions of the last commit and of the one that is being made.
 
-use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use hashbrown::HashMap;
 use rustc_hash::FxBuildHasher;
@@ -11,6 +10,7 @@ use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::map::{Block, BlockPool, MapError, RegionBlocks};
 use tsdfuse_io::map_file::unpack;
 
+use crate::disk::{Disk, sync_folder};
 use crate::error::{Result, StoreError};
 use crate::format::{Extent, HEADER, Header, Index, MAGIC, PAGE, Packed, RegionHeader, Row, Sizes, State};
 use crate::space::Space;
@@ -19,7 +19,7 @@ use crate::space::Space;
 #[derive(Debug)]
 pub(crate) struct StoreFile {
     path: PathBuf,
-    file: File,
+    disk: Disk,
     /// The number of the last commit.
     sequence: u64,
     index: [Extent; 2],
@@ -57,33 +57,9 @@ fn is_earlier(start: &[u8]) -> bool {
 /// Removes a store that no process has open; returns whether it did. What is no store stays.
 pub fn remove_unused(path: impl AsRef<Path>) -> bool {
     let path = path.as_ref();
-    let open = || OpenOptions::new().read(true).write(true).open(path);
     // While it is locked here, nobody else can open it.
-    let locked = recognises(path).then(open).and_then(Result::ok);
-    locked.is_some_and(|file| file.try_lock().is_ok() && header(&file).is_ok() && std::fs::remove_file(path).is_ok())
-}
-
-/// How often, and how many milliseconds apart, it is tried whether a process that was killed has let go of its store.
-const TRIES: u32 = 40;
-const BETWEEN_MS: u64 = 50;
-
-/// Locks a store: for writing nobody else may have it open, for reading nobody else may write.
-pub(crate) fn lock(file: &File, is_written: bool) -> io::Result<()> {
-    let lock = || {
-        if is_written {
-            file.try_lock()
-        } else {
-            file.try_lock_shared()
-        }
-    };
-    for _ in 0..TRIES {
-        match lock() {
-            Ok(()) => return Ok(()),
-            Err(TryLockError::Error(error)) => return Err(error),
-            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(BETWEEN_MS)),
-        }
-    }
-    Err(io::Error::other("another process has it open"))
+    let locked = recognises(path).then(|| Disk::open_unused(path)).and_then(Result::ok);
+    locked.is_some_and(|disk| header(&disk).is_ok() && std::fs::remove_file(path).is_ok())
 }
 
 impl StoreFile {
@@ -96,13 +72,9 @@ impl StoreFile {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
         let make = || {
-            let mut options = OpenOptions::new();
-            let file = options.read(true).write(true).create(true).truncate(true).open(&temporary);
-            let file = file.map_err(&wrong)?;
-            lock(&file, true).map_err(&wrong)?;
             let mut store = Self {
                 path: path.to_owned(),
-                file,
+                disk: Disk::create(&temporary).map_err(&wrong)?,
                 sequence: 0,
                 index: [Extent { offset: 0, length: 0 }; 2],
                 regions: HashMap::default(),
@@ -111,6 +83,7 @@ impl StoreFile {
             };
             store.commit(state)?;
             std::fs::rename(&temporary, path).map_err(&wrong)?;
+            sync_folder(path);
             Ok(store)
         };
         let made = make();
@@ -124,24 +97,30 @@ impl StoreFile {
     /// Opens a store as it was committed last.
     pub(crate) fn open(path: &Path, is_written: bool) -> Result<(Self, State)> {
         let wrong = StoreError::file(path);
-        let file = OpenOptions::new().read(true).write(is_written).open(path);
-        let file = file.map_err(&wrong)?;
-        lock(&file, is_written).map_err(&wrong)?;
+        let disk = Disk::open(path, is_written).map_err(&wrong)?;
         let damaged = |reason: String| StoreError::Damaged {
             path: path.to_owned(),
             reason,
         };
-        let (header, is_whole) = header(&file).map_err(damaged)?;
-        let index = read_index(&file, &header).map_err(|reason| damaged(format!("its index: {reason}")))?;
+        let (header, is_whole) = header(&disk).map_err(damaged)?;
+        let index = read_index(&disk, &header).map_err(|reason| damaged(format!("its index: {reason}")))?;
         let extents = index.regions.iter().map(|row| row.extent).chain(header.index);
-        let space = Space::without(FIRST_PAGE, extents).ok_or_else(|| damaged("its index contradicts itself".to_owned()))?;
+        let end = extents
+            .clone()
+            .map(|extent| extent.offset.saturating_add(extent.length))
+            .max();
+        if end > Some(disk.length().map_err(&wrong)?) {
+            return Err(damaged("the file ends early".to_owned()));
+        }
+        let space =
+            Space::without(FIRST_PAGE, extents).ok_or_else(|| damaged("its index contradicts itself".to_owned()))?;
         let stored = |&row: &Row| {
             let is_committed = true;
             (row.index, Stored { row, is_committed })
         };
         let store = Self {
             path: path.to_owned(),
-            file,
+            disk,
             sequence: header.sequence,
             index: header.index,
             regions: index.regions.iter().map(stored).collect(),
@@ -153,7 +132,7 @@ impl StoreFile {
             for at in HEADERS {
                 store.write_at(at, &header.to_bytes())?;
             }
-            store.file.sync_data().map_err(&wrong)?;
+            store.disk.sync().map_err(&wrong)?;
         }
         Ok((store, index.state))
     }
@@ -194,13 +173,17 @@ impl StoreFile {
             region: index,
             reason,
         };
-        let stored = self.regions.get(&index).ok_or_else(|| wrong("is not there".to_owned()))?;
+        let stored = self
+            .regions
+            .get(&index)
+            .ok_or_else(|| wrong("is not there".to_owned()))?;
         let mut blocks = RegionBlocks::new(index, pool);
-        read_region(&self.file, &stored.row, |index, block| blocks.insert(index, &block)).map_err(wrong)?;
+        read_region(&self.disk, &stored.row, |index, block| blocks.insert(index, &block)).map_err(wrong)?;
         Ok(blocks)
     }
 
-    /// Makes everything that was written the state of the map. When this returns, no crash takes it away; until then, the last commit is there.
+    /// Makes everything that was written the state of the map. When this returns, no crash takes it away; until then,
+    /// the last commit is there.
     pub(crate) fn commit(&mut self, state: State) -> Result<()> {
         let path = self.path.clone();
         let wrong = StoreError::file(&path);
@@ -219,9 +202,9 @@ impl StoreFile {
             index: [self.append(&bytes)?, self.append(&bytes)?],
         };
         // What the header names must be there before the header is.
-        self.file.sync_data().map_err(&wrong)?;
+        self.disk.sync().map_err(&wrong)?;
         self.write_at(HEADERS[0], &header.to_bytes())?;
-        self.file.sync_data().map_err(&wrong)?;
+        self.disk.sync().map_err(&wrong)?;
         // The first copy holds from here on. The second one is for damage.
         self.write_at(HEADERS[1], &header.to_bytes())?;
         let old_index = std::mem::replace(&mut self.index, header.index);
@@ -244,9 +227,7 @@ impl StoreFile {
     }
 
     fn write_at(&self, offset: u64, bytes: &[u8]) -> Result<()> {
-        let mut file = &self.file;
-        let written = file.seek(SeekFrom::Start(offset)).and_then(|_| file.write_all(bytes));
-        written.map_err(StoreError::file(&self.path))
+        self.disk.write(offset, bytes).map_err(StoreError::file(&self.path))
     }
 }
 
@@ -254,15 +235,14 @@ impl StoreFile {
 ///
 /// # Errors
 /// What is wrong with the first copy, if there is none.
-pub(crate) fn header(file: &File) -> Result<(Header, bool), String> {
+pub(crate) fn header(disk: &Disk) -> Result<(Header, bool), String> {
     let read = |offset| {
         let length = HEADER as u64;
-        let bytes = read_bytes(file, Extent { offset, length });
+        let bytes = disk.read(Extent { offset, length });
         bytes.and_then(|bytes| Header::parse(&bytes))
     };
     let mut start = [0; 4];
-    let mut reader = file;
-    let read_start = reader.seek(SeekFrom::Start(0)).and_then(|_| reader.read_exact(&mut start));
+    let read_start = disk.read_exact(0, &mut start);
     if read_start.is_ok() && is_earlier(&start) {
         return Err("this store was written by an earlier version of tsdfuse; run it again".to_owned());
     }
@@ -278,11 +258,13 @@ pub(crate) fn header(file: &File) -> Result<(Header, bool), String> {
 ///
 /// # Errors
 /// What is wrong with the first copy, if neither is.
-pub(crate) fn read_index(file: &File, header: &Header) -> Result<Index, String> {
+pub(crate) fn read_index(disk: &Disk, header: &Header) -> Result<Index, String> {
     let read = |extent| {
-        let index = read_bytes(file, extent).and_then(|bytes| Index::parse(&bytes))?;
+        let index = disk.read(extent).and_then(|bytes| Index::parse(&bytes))?;
         let is_right = index.sequence == header.sequence;
-        is_right.then_some(index).ok_or_else(|| "it belongs to another commit".to_owned())
+        is_right
+            .then_some(index)
+            .ok_or_else(|| "it belongs to another commit".to_owned())
     };
     let [first, second] = header.index;
     read(first).or_else(|reason| read(second).map_err(|_| reason))
@@ -293,11 +275,11 @@ pub(crate) fn read_index(file: &File, header: &Header) -> Result<Index, String> 
 /// # Errors
 /// What is wrong with its bytes, or why `take` did not want a block.
 pub(crate) fn read_region(
-    file: &File,
+    disk: &Disk,
     row: &Row,
     mut take: impl FnMut(BlockIndex, Block) -> Result<(), MapError>,
 ) -> Result<(), String> {
-    let record = read_bytes(file, row.extent)?;
+    let record = disk.read(row.extent)?;
     let header = RegionHeader::parse(&record)?;
     if (header.index, header.sizes) != (row.index, row.sizes) {
         return Err("another region is in its place".to_owned());
@@ -305,6 +287,9 @@ pub(crate) fn read_region(
     let mut blocks = 0;
     let counted = |index, block| {
         blocks += 1;
+        if blocks > row.sizes.blocks {
+            return Err(MapError::Occupied { block: index });
+        }
         take(index, block)
     };
     unpack(header.packed(&record)?, counted).map_err(|e| e.to_string())?;
@@ -312,17 +297,141 @@ pub(crate) fn read_region(
     is_whole.then_some(()).ok_or_else(|| "blocks are missing".to_owned())
 }
 
-/// Reads a part of the file. What a damaged store says of its length is not believed.
-pub(crate) fn read_bytes(mut file: &File, extent: Extent) -> Result<Vec<u8>, String> {
-    let system = |e: io::Error| e.to_string();
-    let end = file.metadata().map_err(system)?.len();
-    if extent.offset.checked_add(extent.length).is_none_or(|last| last > end) {
-        return Err("the file ends before it".to_owned());
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use proptest::prelude::*;
+    use tsdfuse::MapConfig;
+    use tsdfuse::glam::IVec3;
+
+    use super::*;
+    use crate::disk::Step;
+
+    /// The bytes of regions.
+    type Contents = BTreeMap<i32, Vec<u8>>;
+
+    fn contents(store: &StoreFile) -> Contents {
+        let of = |stored: &Stored| {
+            let record = store.disk.read(stored.row.extent).unwrap();
+            let header = RegionHeader::parse(&record).unwrap();
+            assert_eq!(header.index, stored.row.index);
+            (header.index.0.x, header.packed(&record).unwrap().to_vec())
+        };
+        store.regions.values().map(of).collect()
     }
-    let mut bytes = Vec::new();
-    let length = extent.length as usize;
-    bytes.try_reserve_exact(length).map_err(|e| e.to_string())?;
-    bytes.resize(length, 0);
-    let read = file.seek(SeekFrom::Start(extent.offset)).and_then(|_| file.read_exact(&mut bytes));
-    read.map_err(system).map(|()| bytes)
+
+    fn state(number: u8) -> State {
+        State {
+            config: MapConfig::default(),
+            integrations: 0,
+            checkpoint: vec![number],
+        }
+    }
+
+    /// What happens to a store.
+    #[derive(Clone, Debug)]
+    enum Act {
+        Write(i32, usize),
+        Commit,
+        /// The power fails, with these [`after_failure`], and the store is opened again.
+        Fail(Vec<u16>),
+    }
+
+    fn fates() -> impl Strategy<Value = Vec<u16>> {
+        prop::collection::vec(any::<u16>(), 1..20)
+    }
+
+    fn acts() -> impl Strategy<Value = Vec<Act>> {
+        let act = prop_oneof![
+            6 => (0..6, 1..20_000_usize).prop_map(|(x, length)| Act::Write(x, length)),
+            2 => Just(Act::Commit),
+            1 => fates().prop_map(Act::Fail),
+        ];
+        prop::collection::vec(act, 1..60)
+    }
+
+    /// What is on the disk if the power fails after some steps: everything up to the last sync, and of the rest, for each write,
+    /// nothing, all, or some of it.
+    fn after_failure(steps: &[Step], fates: &[u16]) -> Vec<u8> {
+        let synced = steps.iter().rposition(|step| matches!(step, Step::Sync)).unwrap_or(0);
+        let mut disk = Vec::new();
+        for ((number, step), fate) in steps.iter().enumerate().zip(fates.iter().cycle()) {
+            let Step::Write(offset, bytes) = step else { continue };
+            let written = match fate % 3 {
+                _ if number < synced => bytes.len(),
+                0 => 0,
+                1 => bytes.len(),
+                _ => usize::from(*fate) % (bytes.len() + 1),
+            };
+            let end = *offset as usize + written;
+            if disk.len() < end {
+                disk.resize(end, 0);
+            }
+            disk[*offset as usize..end].copy_from_slice(&bytes[..written]);
+        }
+        disk
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
+
+        #[test]
+        fn after_a_power_failure_the_last_commit_is_there_all_of_it(
+            acts in acts(),
+            failures in prop::collection::vec((any::<prop::sample::Index>(), fates()), 20),
+        ) {
+            let dir = tempfile::tempdir().unwrap();
+            let (path, failed) = (dir.path().join("a"), dir.path().join("b"));
+            let mut store = StoreFile::create(&path, state(0)).unwrap();
+            let mut now = Contents::new();
+            // The checkpoint and the contents of each commit, and the step with which it was done.
+            let mut steps = store.disk.steps.take();
+            let mut commits = vec![(steps.len(), 0, now.clone())];
+            let mut first = steps.len();
+            for (number, act) in (1..).zip(acts) {
+                match act {
+                    Act::Write(x, length) => {
+                        let bytes = vec![number; length];
+                        now.insert(x, bytes.clone());
+                        let index = RegionIndex(IVec3::new(x, 0, 0));
+                        store.write(&Packed { index, sizes: Sizes::default(), bytes }).unwrap();
+                        steps.append(&mut store.disk.steps.take());
+                    }
+                    Act::Commit => {
+                        store.commit(state(number)).unwrap();
+                        steps.append(&mut store.disk.steps.take());
+                        commits.push((steps.len(), number, now.clone()));
+                    }
+                    Act::Fail(fates) => {
+                        drop(store);
+                        let bytes = after_failure(&steps, &fates);
+                        std::fs::write(&path, &bytes).unwrap();
+                        let (opened, last) = StoreFile::open(&path, true).unwrap();
+                        store = opened;
+                        prop_assert_eq!(&last.checkpoint, &[commits.last().unwrap().1]);
+                        now = commits.last().unwrap().2.clone();
+                        steps = vec![Step::Write(0, bytes), Step::Sync];
+                        first = steps.len();
+                        commits = vec![(first, last.checkpoint[0], now.clone())];
+                        steps.append(&mut store.disk.steps.take());
+                    }
+                }
+            }
+            prop_assert_eq!(contents(&store), now);
+            drop(store);
+            for (at, fates) in failures {
+                let at = first + at.index(steps.len() - first + 1);
+                std::fs::write(&failed, after_failure(&steps[..at], &fates)).unwrap();
+                let (opened, found) = StoreFile::open(&failed, true).unwrap();
+                // The last one that was done, or the one that was being made.
+                let done = commits.iter().rposition(|(after, ..)| *after <= at).unwrap();
+                let possible = &commits[done..(done + 2).min(commits.len())];
+                let is_right = |(_, number, then): &(usize, u8, Contents)| {
+                    found.checkpoint == [*number] && contents(&opened) == *then
+                };
+                prop_assert!(possible.iter().any(is_right), "{at} {:?}", found.checkpoint);
+            }
+        }
+    }
 }

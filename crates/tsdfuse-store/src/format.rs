@@ -6,17 +6,18 @@
 //!   page 2…  regions, and the index of the last commit (twice), each on pages of its own
 //! ```
 //!
-//! The headers name the index; the index names the regions, and holds what the caller wants to find again. All of them end with, or begin with, a
-//! checksum, and begin with a mark, so that they can be found even if what names them is lost ([`crate::Salvage`]).
-//! Numbers are little-endian.
+//! The headers name the index; the index names the regions, and holds what the caller wants to find again. All of them
+//! end with, or begin with, a checksum, and begin with a mark, so that they can be found even if what names them is
+//! lost ([`crate::Salvage`]). Numbers are little-endian.
 
 use std::ops::{AddAssign, Range};
 
 use tsdfuse::MapConfig;
 use tsdfuse::glam::IVec3;
-use tsdfuse::index::RegionIndex;
+use tsdfuse::index::{BLOCK_VOXELS, RegionIndex};
 
-/// Everything begins on a page, so that writing one thing never touches the bytes of another, not even if the power fails.
+/// Everything begins on a page, so that writing one thing never touches the bytes of another, not even if the power
+/// fails.
 pub(crate) const PAGE: u64 = 4096;
 
 /// How a header begins.
@@ -27,10 +28,15 @@ pub(crate) const INDEX_MARK: [u8; 8] = *b"TSDFIDX\n";
 /// How a region begins.
 pub(crate) const REGION_MARK: [u8; 8] = *b"TSDFREG\n";
 
-/// Mark, sequence, three coordinates, blocks, observed voxels, length of what follows; the checksum of these and what follows.
+/// Mark, sequence, three coordinates, blocks, observed voxels, length of what follows; the checksum of these and what
+/// follows.
 pub(crate) const REGION_HEADER: usize = 40 + 4;
-/// No region takes more: 512 blocks that cannot be compressed.
-pub(crate) const MAX_REGION: u32 = 3 << 20;
+/// Blocks in a region.
+const REGION_BLOCKS: u64 = 512;
+/// No region takes more: all blocks, not compressed.
+const MAX_REGION: u32 = 3 << 20;
+/// No map has regions farther out.
+const MAX_COORDINATE: u32 = 1 << 25;
 /// Coordinates, blocks, observed voxels, offset, length.
 const ROW: usize = 12 + 8 + 8 + 4;
 /// Mark, sequence, configuration and integrations, numbers of regions and of the checkpoint's bytes.
@@ -151,7 +157,7 @@ impl Header {
             return Err(format!("it has version {version}, read is version {VERSION}"));
         }
         check(bytes, HEADER)?;
-        let sequence = fields.u64()?;
+        let sequence = fields.sequence()?;
         let (config, integrations) = fields.state()?;
         let length = fields.u64()?;
         let mut extent = || fields.u64().map(|offset| Extent { offset, length });
@@ -206,7 +212,7 @@ impl Index {
         if fields.array()? != INDEX_MARK {
             return Err("no index begins there".to_owned());
         }
-        let sequence = fields.u64()?;
+        let sequence = fields.sequence()?;
         let (config, integrations) = fields.state()?;
         let (count, checkpoint) = (fields.u64()?, fields.u64()?);
         let regions = (0..count).map(|_| fields.row()).collect::<Result<_, _>>()?;
@@ -245,7 +251,7 @@ impl RegionHeader {
             return Err("it does not begin where it should".to_owned());
         }
         let header = Self {
-            sequence: fields.u64()?,
+            sequence: fields.sequence()?,
             index: fields.region()?,
             sizes: fields.sizes()?,
             length: fields.u32()?,
@@ -263,7 +269,8 @@ impl RegionHeader {
     /// What is wrong with it.
     pub(crate) fn packed<'a>(&self, record: &'a [u8]) -> Result<&'a [u8], String> {
         let (header, packed) = record.split_at_checked(REGION_HEADER).ok_or(SHORT)?;
-        let is_same = packed.len() == self.length as usize && crc32(&[&header[..REGION_HEADER - 4], packed]) == self.checksum;
+        let is_same =
+            packed.len() == self.length as usize && crc32(&[&header[..REGION_HEADER - 4], packed]) == self.checksum;
         is_same.then_some(packed).ok_or_else(|| CHANGED.to_owned())
     }
 }
@@ -284,7 +291,10 @@ fn with_checksum(mut bytes: Vec<u8>) -> Vec<u8> {
 
 /// Checks that the first `length` bytes end with the checksum of those before.
 fn check(bytes: &[u8], length: usize) -> Result<(), String> {
-    let (bytes, checksum) = bytes.get(..length).and_then(|all| all.split_last_chunk()).ok_or(SHORT)?;
+    let (bytes, checksum) = bytes
+        .get(..length)
+        .and_then(|all| all.split_last_chunk())
+        .ok_or(SHORT)?;
     let is_same = crc32(&[bytes]) == u32::from_le_bytes(*checksum);
     is_same.then_some(()).ok_or_else(|| CHANGED.to_owned())
 }
@@ -330,6 +340,14 @@ impl<'a> Fields<'a> {
         self.array().map(u64::from_le_bytes)
     }
 
+    fn sequence(&mut self) -> Result<u64, String> {
+        let sequence = self.u64()?;
+        let is_possible = sequence < u64::MAX / 2;
+        is_possible
+            .then_some(sequence)
+            .ok_or_else(|| "its number is impossible".to_owned())
+    }
+
     fn state(&mut self) -> Result<(MapConfig, u32), String> {
         let config = MapConfig {
             voxel_size_m: self.array().map(f64::from_le_bytes)?,
@@ -341,14 +359,22 @@ impl<'a> Fields<'a> {
 
     fn region(&mut self) -> Result<RegionIndex, String> {
         let mut field = || self.array().map(i32::from_le_bytes);
-        Ok(RegionIndex(IVec3::new(field()?, field()?, field()?)))
+        let index = IVec3::new(field()?, field()?, field()?);
+        if index.to_array().iter().any(|i| i.unsigned_abs() > MAX_COORDINATE) {
+            return Err(format!("region {:?} lies outside of the grid", index.to_array()));
+        }
+        Ok(RegionIndex(index))
     }
 
     fn sizes(&mut self) -> Result<Sizes, String> {
-        Ok(Sizes {
+        let sizes = Sizes {
             blocks: self.u32()?.into(),
             observed_voxels: self.u32()?.into(),
-        })
+        };
+        let is_possible = sizes.blocks <= REGION_BLOCKS && sizes.observed_voxels <= sizes.blocks * BLOCK_VOXELS as u64;
+        is_possible
+            .then_some(sizes)
+            .ok_or_else(|| "its sizes are impossible".to_owned())
     }
 
     fn row(&mut self) -> Result<Row, String> {
@@ -360,5 +386,74 @@ impl<'a> Fields<'a> {
                 length: self.u32()?.into(),
             },
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn index_of(regions: Vec<Row>) -> Index {
+        let state = State {
+            config: MapConfig::default(),
+            integrations: 7,
+            checkpoint: b"scan 7".to_vec(),
+        };
+        Index {
+            sequence: 3,
+            state,
+            regions,
+        }
+    }
+
+    fn row(x: i32, blocks: u64) -> Row {
+        Row {
+            index: RegionIndex(IVec3::new(x, -2, 3)),
+            sizes: Sizes {
+                blocks,
+                observed_voxels: blocks,
+            },
+            extent: Extent {
+                offset: 4 * PAGE,
+                length: 77,
+            },
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let index = index_of(vec![row(1, 2), row(2, 512)]);
+        assert_eq!(Index::parse(&index.to_bytes()), Ok(index));
+        let header = Header {
+            sequence: 9,
+            config: MapConfig::default(),
+            integrations: 3,
+            index: [4, 5].map(|page| Extent {
+                offset: page * PAGE,
+                length: 100,
+            }),
+        };
+        let bytes = header.to_bytes();
+        assert_eq!((bytes.len(), Header::parse(&bytes)), (HEADER, Ok(header)));
+    }
+
+    #[test]
+    fn what_no_map_has_is_refused_although_the_checksums_are_right() {
+        let refused = |regions| Index::parse(&index_of(regions).to_bytes()).unwrap_err();
+        assert_eq!(
+            refused(vec![row(i32::MAX, 1)]),
+            "region [2147483647, -2, 3] lies outside of the grid"
+        );
+        assert_eq!(
+            refused(vec![row(i32::MIN, 1)]),
+            "region [-2147483648, -2, 3] lies outside of the grid"
+        );
+        assert_eq!(refused(vec![row(0, 513)]), "its sizes are impossible");
+        let mut late = index_of(Vec::new());
+        late.sequence = u64::MAX;
+        assert_eq!(Index::parse(&late.to_bytes()).unwrap_err(), "its number is impossible");
+        let mut start = index_of(Vec::new()).to_bytes();
+        start[INDEX_HEADER - 16..INDEX_HEADER].fill(0xff);
+        assert_eq!(Index::parse(&start).unwrap_err(), "its length is impossible");
     }
 }

@@ -1,8 +1,9 @@
 //! Maps larger than memory, and maps that outlive a crash.
 //!
-//! A [`PagedMap`] keeps the regions of a map that are in use in memory, and all others in a file. Before a scan is fused, it loads what the scan can
-//! touch; afterwards it evicts the regions that were not used for the longest time, as long as there are more than its limit of
-//! memory allows. The map is the same, bit for bit, as one that is all in memory.
+//! A [`PagedMap`] keeps the regions of a map that are in use in memory, and all others in a file. Before a scan is
+//! fused, it loads what the scan can touch; afterwards it evicts the regions that were not used for the longest time,
+//! as long as there are more than its limit of memory allows. The map is the same, bit for bit, as one that is all in
+//! memory.
 //!
 //! ```text
 //!   integrate ── load ──▶ regions in memory ◀──────────────── prefetch ─┐
@@ -10,8 +11,9 @@
 //!      └─ commit ─────────────┴─────────────── written behind ─────▶ one thread, one file
 //! ```
 //!
-//! Nothing that is on its way to the file counts before it is committed, together with a checkpoint: bytes of the caller's, which say for instance
-//! which scan was the last. After a crash at any moment, the file holds the last commit, all of it and nothing later.
+//! Nothing that is on its way to the file counts before it is committed, together with a checkpoint: bytes of the
+//! caller's, which say for instance which scan was the last. After a crash at any moment, the file holds the last
+//! commit, all of it and nothing later.
 //!
 //! ```
 //! use tsdfuse::{MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3};
@@ -29,8 +31,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! All bytes of the file are covered by checksums: a damaged store is an error that names the file, and [`Salvage`] recovers what is intact.
+//! All bytes of the file are covered by checksums: a damaged store is an error that names the file, and [`Salvage`]
+//! recovers what is intact.
 
+mod disk;
 mod error;
 mod file;
 mod format;
@@ -39,6 +43,10 @@ mod pager;
 mod salvage;
 mod space;
 mod worker;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
 
 pub use error::{PagedError, Result, StoreError};
 pub use file::{recognises, remove_unused};

@@ -17,11 +17,12 @@ use crate::pager::Pager;
 
 /// A map whose regions are in a file, and in memory only while they are in use.
 ///
-/// It is the same, bit for bit, as a [`VoxelMap`] that is all in memory. What has changed since the last [`PagedMap::commit`] is lost with the
-/// process.
+/// It is the same, bit for bit, as a [`VoxelMap`] that is all in memory. What has changed since the last
+/// [`PagedMap::commit`] is lost with the process.
 ///
-/// After an error of the store ([`StoreError::File`], [`StoreError::Damaged`], [`StoreError::Region`], [`StoreError::BeyondReach`]) the map in
-/// memory is of no use: every later call returns [`StoreError::Broken`] with the message of the first error. The file keeps the last commit.
+/// After an error of the store ([`StoreError::File`], [`StoreError::Damaged`], [`StoreError::Region`],
+/// [`StoreError::BeyondReach`]) the map in memory is of no use: every later call returns [`StoreError::Broken`] with
+/// the message of the first error. The file keeps the last commit.
 #[derive(Debug)]
 pub struct PagedMap {
     map: VoxelMap,
@@ -52,7 +53,8 @@ fn is_much_more(bytes: usize, before: usize) -> bool {
 impl PagedMap {
     /// Creates a store. It holds an empty map and `checkpoint`; the blocks of `map` follow with the first commit.
     ///
-    /// `limit_bytes` limits the memory that blocks take; `None` keeps them all in memory. What one scan can touch always stays in memory.
+    /// `limit_bytes` limits the memory that blocks take; `None` keeps them all in memory. What one scan can touch
+    /// always stays in memory.
     ///
     /// # Errors
     /// [`StoreError::File`], also if there is such a file.
@@ -72,7 +74,8 @@ impl PagedMap {
         Ok(Self::new(map, pager, false))
     }
 
-    /// Opens a store: the map as it was committed last, of which nothing is in memory yet, and the checkpoint. No other process may have it open.
+    /// Opens a store: the map as it was committed last, of which nothing is in memory yet, and the checkpoint. No other
+    /// process may have it open.
     ///
     /// # Errors
     /// [`StoreError::File`] and [`StoreError::Damaged`].
@@ -80,7 +83,8 @@ impl PagedMap {
         Self::open_as(path.as_ref(), limit_bytes, false)
     }
 
-    /// Opens a store for reading, as several processes can at the same time, also in a place where nothing can be written.
+    /// Opens a store for reading, as several processes can at the same time, also in a place where nothing can be
+    /// written.
     ///
     /// # Errors
     /// As [`PagedMap::open`].
@@ -174,8 +178,8 @@ impl PagedMap {
         self.told_bytes = 0;
     }
 
-    /// Returns an event if the last scans needed more memory than the limit allows: the first time, and whenever it has become at least a quarter more than the
-    /// last event said. Each is returned once.
+    /// Returns an event if the last scans needed more memory than the limit allows: the first time, and whenever it has
+    /// become at least a quarter more than the last event said. Each is returned once.
     pub fn over_limit(&mut self) -> Option<OverLimit> {
         let event = self.over_limit.take()?;
         self.told_bytes = event.bytes;
@@ -192,7 +196,8 @@ impl PagedMap {
         self.paging_secs
     }
 
-    /// Fuses a scan: loads the regions within its reach, fuses it, and evicts others while there are more than the limit allows.
+    /// Fuses a scan: loads the regions within its reach, fuses it, and evicts others while there are more than the
+    /// limit allows.
     ///
     /// # Errors
     /// [`PagedError::Fuse`] leaves the map as it was. After [`PagedError::Store`] nothing more can be fused.
@@ -208,7 +213,8 @@ impl PagedMap {
         Ok(done?)
     }
 
-    /// Ends a series of scans ([`Integrator::finish`]). Unless there is no limit of memory and the store is new, the method must not have kept scans back.
+    /// Ends a series of scans ([`Integrator::finish`]). Unless there is no limit of memory and the store is new, the
+    /// method must not have kept scans back.
     ///
     /// # Errors
     /// [`StoreError::BeyondReach`] if the method changed regions that are not in memory.
@@ -236,8 +242,8 @@ impl PagedMap {
         Ok(())
     }
 
-    /// Begins to load the regions within the reach of a later scan, without waiting for them. The reach of a scan that was not read yet is about that of the scan
-    /// before, from another position ([`Integrator::reach`], [`Reach::at`]).
+    /// Begins to load the regions within the reach of a later scan, without waiting for them. The reach of a scan that
+    /// was not read yet is about that of the scan before, from another position ([`Integrator::reach`], [`Reach::at`]).
     ///
     /// # Errors
     /// [`StoreError::File`] and [`StoreError::Region`].
@@ -248,10 +254,12 @@ impl PagedMap {
         })
     }
 
-    /// Adds blocks that were made elsewhere: read from a map file, for instance. It is quickest region by region. Returns how many there were.
+    /// Adds blocks that were made elsewhere: read from a map file, for instance. It is quickest region by region.
+    /// Returns how many there were.
     ///
     /// # Errors
-    /// [`StoreError::Map`] if there is such a block already, or if it is no block of a map; those before it are in the map then.
+    /// [`StoreError::Map`] if there is such a block already, or if it is no block of a map; those before it are in the
+    /// map then.
     pub fn put_blocks(&mut self, blocks: impl IntoIterator<Item = (BlockIndex, Block)>) -> Result<usize> {
         let mut count = 0;
         for (index, block) in blocks {
@@ -278,8 +286,8 @@ impl PagedMap {
         })
     }
 
-    /// Writes everything that changed, and makes it and `checkpoint` what [`PagedMap::open`] finds. The bytes of the checkpoint are the caller's: which scan
-    /// was the last, for instance. When this returns, no crash takes them away.
+    /// Writes everything that changed, and makes it and `checkpoint` what [`PagedMap::open`] finds. The bytes of the
+    /// checkpoint are the caller's: which scan was the last, for instance. When this returns, no crash takes them away.
     ///
     /// # Errors
     /// [`StoreError::File`]; the file then keeps the commit before.
@@ -311,7 +319,8 @@ impl PagedMap {
     /// Sends the surface of the whole map to `sink` as one mesh ([`stitch`]). Memory use stays within the limit.
     ///
     /// # Errors
-    /// [`StoreError::File`] and [`StoreError::Region`]; [`StoreError::Sink`] if `sink` fails or there are more than 2³² vertices.
+    /// [`StoreError::File`] and [`StoreError::Region`]; [`StoreError::Sink`] if `sink` fails or there are more than 2³²
+    /// vertices.
     pub fn mesh(&mut self, config: &MeshConfig, sink: &mut impl MeshSink) -> Result<()> {
         stitch(&mut self.surface(config), sink).map_err(StoreError::from_io)
     }

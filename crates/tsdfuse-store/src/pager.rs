@@ -17,8 +17,8 @@ use crate::worker::{Answer, Worker, packed_blocks};
 /// Regions that are packed at a time.
 const PACKED_AT_ONCE: usize = 64;
 
-/// Loads and evicts the regions of a map. A change follows this protocol: load what it can touch, change the map, mark dirty what changed,
-/// evict. [`crate::PagedMap`] follows it.
+/// Loads and evicts the regions of a map. A change follows this protocol: load what it can touch, change the map, mark
+/// dirty what changed, evict. [`crate::PagedMap`] follows it.
 #[derive(Debug)]
 pub(crate) struct Pager {
     path: PathBuf,
@@ -202,7 +202,8 @@ impl Pager {
     /// Marks the regions of blocks that changed.
     ///
     /// # Errors
-    /// [`StoreError::BeyondReach`] if a region was not loaded before: its blocks in the file and in memory contradict each other then.
+    /// [`StoreError::BeyondReach`] if a region was not loaded before: its blocks in the file and in memory contradict
+    /// each other then.
     pub(crate) fn mark_dirty(&mut self, map: &VoxelMap, updated_blocks: &[BlockIndex]) -> Result<()> {
         let mut last = None;
         for &block in updated_blocks {
@@ -227,8 +228,8 @@ impl Pager {
         Ok(())
     }
 
-    /// Evicts least recently used regions until memory is under the limit, but none that the last [`Pager::load`] needed. Returns whether it
-    /// got there.
+    /// Evicts least recently used regions until memory is under the limit, but none that the last [`Pager::load`]
+    /// needed. Returns whether it got there.
     pub(crate) fn evict(&mut self, map: &mut VoxelMap) -> Result<bool> {
         let Some(limit_bytes) = self.limit_bytes else {
             return Ok(true);

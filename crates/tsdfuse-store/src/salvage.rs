@@ -1,7 +1,5 @@
 //! What can be had of a damaged store.
 
-use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use hashbrown::HashMap;
@@ -11,20 +9,20 @@ use tsdfuse::map::Block;
 use tsdfuse::{MapConfig, VoxelMap};
 use tsdfuse_io::{atomic, map_file::Writer};
 
+use crate::disk::Disk;
 use crate::error::{Result, StoreError};
-use crate::file::{header, lock, read_bytes, read_index, read_region};
-use crate::format::{
-    Extent, INDEX_HEADER, INDEX_MARK, Index, PAGE, REGION_HEADER, REGION_MARK, RegionHeader, Row,
-};
+use crate::file::{header, read_index, read_region};
+use crate::format::{Extent, INDEX_HEADER, INDEX_MARK, Index, PAGE, REGION_HEADER, REGION_MARK, RegionHeader, Row};
 
 /// The intact regions of a damaged store.
 ///
-/// As long as one copy of the index is intact, this is the last commit without the regions that are lost, each of which is known. Without any index, the whole
-/// file is searched for regions, and the newest intact version of each is used: some may be from before the last commit, or from after it.
+/// As long as one copy of the index is intact, this is the last commit without the regions that are lost, each of which
+/// is known. Without any index, the whole file is searched for regions, and the newest intact version of each is used:
+/// some may be from before the last commit, or from after it.
 #[derive(Debug)]
 pub struct Salvage {
     path: PathBuf,
-    file: File,
+    disk: Disk,
     config: MapConfig,
     integrations: u32,
     checkpoint: Option<Vec<u8>>,
@@ -53,29 +51,29 @@ impl Salvage {
     /// Reads all of a store, and finds out which regions are intact.
     ///
     /// # Errors
-    /// [`StoreError::File`] if the file cannot be read, [`StoreError::Damaged`] if neither its header nor its index is intact, or if it is no store.
+    /// [`StoreError::File`] if the file cannot be read, [`StoreError::Damaged`] if neither its header nor its index is
+    /// intact, or if it is no store.
     pub fn scan(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let wrong = StoreError::file(path);
-        let file = File::open(path).map_err(&wrong)?;
-        lock(&file, false).map_err(&wrong)?;
+        let disk = Disk::open(path, false).map_err(&wrong)?;
         let damaged = |reason: String| StoreError::Damaged {
             path: path.to_owned(),
             reason,
         };
         let mut damage = Damage::default();
-        let header = header(&file);
+        let header = header(&disk);
         if let Err(reason) = &header {
             damage.places.push(reason.clone());
         }
-        let index = header.as_ref().ok().map(|(header, _)| read_index(&file, header));
+        let index = header.as_ref().ok().map(|(header, _)| read_index(&disk, header));
         if let Some(Err(reason)) = &index {
             damage.places.push(format!("its index: {reason}"));
         }
         let index = match index {
             Some(Ok(index)) => Ok(index),
             _ => {
-                let found = Found::search(&file).map_err(&wrong)?;
+                let found = Found::search(&disk).map_err(&wrong)?;
                 let newest = header.as_ref().ok().map(|(header, _)| header.sequence);
                 found.newest_index(newest)
             }
@@ -83,7 +81,7 @@ impl Salvage {
         let mut salvage = match (index, header) {
             (Ok(index), _) => Self {
                 path: path.to_owned(),
-                file,
+                disk,
                 config: index.state.config,
                 integrations: index.state.integrations,
                 checkpoint: Some(index.state.checkpoint),
@@ -95,7 +93,7 @@ impl Salvage {
             },
             (Err(regions), Ok((header, _))) => Self {
                 path: path.to_owned(),
-                file,
+                disk,
                 config: header.config,
                 integrations: header.integrations,
                 checkpoint: None,
@@ -111,10 +109,10 @@ impl Salvage {
     /// Leaves out the regions that cannot be read.
     fn drop_damaged(&mut self) {
         let Self {
-            file, regions, damage, ..
+            disk, regions, damage, ..
         } = self;
         regions.retain(|row| {
-            let Err(reason) = read_region(file, row, |_, _| Ok(())) else {
+            let Err(reason) = read_region(disk, row, |_, _| Ok(())) else {
                 return true;
             };
             let index = row.index;
@@ -166,14 +164,12 @@ impl Salvage {
                 blocks.push((index, block));
                 Ok(())
             };
-            read_region(&self.file, row, keep).map_err(|reason| StoreError::Region {
+            read_region(&self.disk, row, keep).map_err(|reason| StoreError::Region {
                 path: self.path.clone(),
                 region: row.index,
                 reason,
             })?;
-            blocks
-                .drain(..)
-                .try_for_each(|(index, block)| visit(index, block))?;
+            blocks.drain(..).try_for_each(|(index, block)| visit(index, block))?;
         }
         Ok(())
     }
@@ -213,37 +209,41 @@ impl Salvage {
 
 impl Found {
     /// Looks at the beginning of every page.
-    fn search(mut file: &File) -> std::io::Result<Self> {
+    fn search(disk: &Disk) -> std::io::Result<Self> {
         let mut found = Self::default();
-        let pages = file.metadata()?.len().div_ceil(PAGE);
+        let pages = disk.length()?.div_ceil(PAGE);
         for offset in (0..pages).map(|page| page * PAGE) {
             let mut start = [0; INDEX_HEADER];
-            let read = file.seek(SeekFrom::Start(offset)).and_then(|_| file.read_exact(&mut start));
+            let read = disk.read_exact(offset, &mut start);
             if read.is_err() {
                 continue;
             }
             // What begins with a mark but is damaged otherwise is as good as not there.
             if start.starts_with(&INDEX_MARK) {
-                let _ = found.try_index(file, offset, &start);
+                let _ = found.try_index(disk, offset, &start);
             } else if start.starts_with(&REGION_MARK) {
-                let _ = found.try_region(file, offset, &start);
+                let _ = found.try_region(disk, offset, &start);
             }
         }
         Ok(found)
     }
 
-    fn try_index(&mut self, file: &File, offset: u64, start: &[u8]) -> Result<(), String> {
+    fn try_index(&mut self, disk: &Disk, offset: u64, start: &[u8]) -> Result<(), String> {
         let length = Index::length(start)?;
-        let index = Index::parse(&read_bytes(file, Extent { offset, length })?)?;
+        let index = Index::parse(&disk.read(Extent { offset, length })?)?;
         if self.index.as_ref().is_none_or(|known| known.sequence < index.sequence) {
             self.index = Some(index);
         }
         Ok(())
     }
 
-    fn try_region(&mut self, file: &File, offset: u64, start: &[u8]) -> Result<(), String> {
+    fn try_region(&mut self, disk: &Disk, offset: u64, start: &[u8]) -> Result<(), String> {
         let header = RegionHeader::parse(start)?;
-        if self.regions.get(&header.index).is_some_and(|(known, _)| *known > header.sequence) {
+        if self
+            .regions
+            .get(&header.index)
+            .is_some_and(|(known, _)| *known > header.sequence)
+        {
             return Ok(());
         }
         let length = REGION_HEADER as u64 + u64::from(header.length);
@@ -252,7 +252,7 @@ impl Found {
             sizes: header.sizes,
             extent: Extent { offset, length },
         };
-        read_region(file, &row, |_, _| Ok(()))?;
+        read_region(disk, &row, |_, _| Ok(()))?;
         self.regions.insert(header.index, (header.sequence, row));
         Ok(())
     }

@@ -111,7 +111,10 @@ mod tests {
 
     #[test]
     fn overlaps_are_refused() {
-        let at = |page: u64, pages: u64| Extent { offset: page * PAGE, length: pages * PAGE };
+        let at = |page: u64, pages: u64| Extent {
+            offset: page * PAGE,
+            length: pages * PAGE,
+        };
         assert!(Space::without(2, [at(5, 2), at(2, 3)]).is_some());
         assert!(Space::without(2, [at(5, 2), at(2, 4)]).is_none());
         assert!(Space::without(2, [at(1, 1)]).is_none());

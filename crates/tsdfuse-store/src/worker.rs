@@ -90,9 +90,7 @@ impl Worker {
 
     /// Waits for an answer.
     pub(crate) fn answer(&self) -> Result<Answer> {
-        self.answers
-            .recv()
-            .unwrap_or_else(|_| Err(stopped(&self.path)))
+        self.answers.recv().unwrap_or_else(|_| Err(stopped(&self.path)))
     }
 
     /// An answer that is there already.
@@ -101,7 +99,8 @@ impl Worker {
     }
 }
 
-/// The thread tells its error before it ends, and [`crate::PagedMap`] asks nothing of it afterwards; so only a bug gets here.
+/// The thread tells its error before it ends, and [`crate::PagedMap`] asks nothing of it afterwards; so only a bug gets
+/// here.
 fn stopped(path: &Path) -> StoreError {
     StoreError::File {
         path: path.to_owned(),

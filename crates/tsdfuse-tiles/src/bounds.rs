@@ -1,4 +1,4 @@
-//! Boxes along the axes.
+//! Axis-aligned boxes.
 
 use tsdfuse::glam::DVec3;
 
@@ -10,7 +10,7 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    /// About nothing.
+    /// Contains nothing.
     pub(crate) const NONE: Self = Self {
         min: DVec3::INFINITY,
         max: DVec3::NEG_INFINITY,
@@ -41,7 +41,7 @@ impl Bounds {
         self.min.distance(self.max)
     }
 
-    /// As seen from a place, and larger by as much as positions in f32 lose: rounded to whole millimetres outwards.
+    /// Relative to an origin, and rounded outwards to whole millimetres, which covers the rounding of positions to f32.
     pub(crate) fn seen_from(&self, origin: DVec3) -> Self {
         let per_m = 1000.0;
         Self {

@@ -1,18 +1,18 @@
-//! Why there are no tiles.
+//! What can go wrong with tiles.
 
 /// The one error of this crate. Its message is one line.
 #[derive(Debug, thiserror::Error)]
 pub enum TilesError {
-    /// The map cannot be read from its store.
+    /// The surface cannot be read: the error of [`tsdfuse::mesh::Surface::pieces`].
     #[error(transparent)]
-    Store(#[from] tsdfuse_store::StoreError),
-    /// A file cannot be written, or the folder of the tiles cannot be made or is not ours to fill.
+    Surface(std::io::Error),
+    /// A file cannot be written, or the tiles' folder cannot be created or is not empty.
     #[error(transparent)]
     File(#[from] tsdfuse_io::Error),
-    /// Nothing to show.
+    /// The map has no surface.
     #[error("the map has no surface: no triangle at a weight of {min_weight} or more")]
     NoSurface {
-        /// Voxels of less weight were left out.
+        /// Voxels of less weight count as never observed.
         min_weight: f32,
     },
 }

@@ -1,5 +1,5 @@
-//! Surfaces too large for one file, as [3D Tiles 1.1](https://docs.ogc.org/cs/22-025r4/22-025r4.html) with levels of detail, which web
-//! viewers load as far as one sees them.
+//! Surfaces that are too large for one file, as [3D Tiles 1.1](https://docs.ogc.org/cs/22-025r4/22-025r4.html). Web
+//! viewers load only the tiles and the level of detail that are in view.
 //!
 //! ```text
 //!   level 0      level 1            level 2
@@ -10,30 +10,37 @@
 //!   as it is     then simplified
 //! ```
 //!
-//! The tree is built from its leaves to its root, cube by cube, and a tile is written as soon as its parent is made: so the map, and the tiles,
-//! can be larger than memory. Tiles that fit into one become one.
+//! The tree is built from the leaves to the root, cube by cube, and a tile is written as soon as its parent exists. So
+//! both the map and the tiles can be larger than memory. Tiles that fit into one tile are joined.
 //!
-//! Where tiles meet, all levels have the vertices of the finest one; so there are no cracks, whichever levels are shown side by side.
+//! Where tiles meet, all levels keep the vertices of the finest one, so there are no cracks between tiles of different
+//! levels.
 //!
 //! ```
-//! use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3, mesh::MeshConfig};
+//! use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3, mesh::{MeshConfig, Surface}};
 //! # let dir = tempfile::tempdir()?;
 //! let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(1.0, 0.02 * y as f32, 0.02 * z as f32)));
 //! let mut map = VoxelMap::new(MapConfig::default())?;
 //! Raycast::default().integrate(&mut map, &Scan { points: points.collect(), ..Default::default() })?;
-//! let mut surface = tsdfuse_store::Surface::whole(&map, &MeshConfig::default());
+//! let mut surface = Surface::new(&map, &MeshConfig::default());
 //! let written = tsdfuse_tiles::write(&dir.path().join("wall/tileset.json"), &mut surface)?;
 //! assert_eq!(written.tiles, 1);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 mod bounds;
+mod compact;
 mod error;
+mod near;
 mod parts;
 mod simplify;
 mod tile;
 mod tileset;
 mod write;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
 
 pub use error::{Result, TilesError};
 pub use write::{Written, check, write};

@@ -1,11 +1,11 @@
-//! Parts of a surface that hang together.
+//! Connected components of a surface.
 
 use tsdfuse::Mesh;
 
 use crate::bounds::Bounds;
-use crate::simplify::compact;
+use crate::compact::compact;
 
-/// A mesh without the parts that are not larger than this and have no vertex to keep.
+/// Removes components that are no larger than `size_m` and have no vertex to keep.
 pub(crate) fn without_specks(mesh: &Mesh, kept: &[bool], size_m: f64) -> Mesh {
     let parts = Parts::of(mesh);
     let mut bounds = vec![Bounds::NONE; mesh.vertices.len()];
@@ -22,7 +22,8 @@ pub(crate) fn without_specks(mesh: &Mesh, kept: &[bool], size_m: f64) -> Mesh {
     compact(mesh, &mesh.triangles.iter().filter(stays).copied().collect::<Vec<_>>())
 }
 
-/// Which vertices hang together: a forest of disjoint sets. Of each vertex another one of its part, the least of all in the end.
+/// Connected components as a forest of disjoint sets: for each vertex another vertex of its component, in the end the
+/// lowest.
 struct Parts(Vec<u32>);
 
 impl Parts {
@@ -33,24 +34,24 @@ impl Parts {
             parts.join(b, c);
         }
         for v in 0..parts.0.len() {
-            // Those before it are done.
+            // Lower vertices are already resolved.
             parts.0[v] = parts.0[parts.0[v] as usize];
         }
         parts
     }
 
-    /// The least vertex of a vertex's part.
+    /// The lowest vertex of a vertex's component.
     fn of_vertex(&self, v: u32) -> u32 {
         self.0[v as usize]
     }
 
     fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.least(a), self.least(b));
+        let (a, b) = (self.lowest(a), self.lowest(b));
         self.0[a.max(b) as usize] = a.min(b);
     }
 
-    /// The least vertex so far; the way to it becomes half as long.
-    fn least(&mut self, mut v: u32) -> u32 {
+    /// The lowest vertex so far; halves the path to it.
+    fn lowest(&mut self, mut v: u32) -> u32 {
         while self.0[v as usize] != v {
             let next = self.0[self.0[v as usize] as usize];
             self.0[v as usize] = next;

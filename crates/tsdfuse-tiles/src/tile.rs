@@ -1,4 +1,4 @@
-//! One tile, and how several become one that is coarser.
+//! One tile, and how several tiles become a coarser one.
 
 use std::fmt;
 use std::path::Path;
@@ -6,33 +6,33 @@ use std::path::Path;
 use tsdfuse::Mesh;
 use tsdfuse::glam::{DVec3, IVec3};
 use tsdfuse::index::Grid;
+use tsdfuse::mesh::{CUBE_VOXELS, Weld, is_on_plane};
 use tsdfuse_io::glb;
-use tsdfuse_store::{CUBE_VOXELS, Weld, is_on_plane};
 
 use crate::bounds::Bounds;
 use crate::error::Result;
 use crate::simplify::simplified;
 use crate::tileset::Node;
 
-/// A tile has about so many triangles at most (unless more lie at its border): 1.2 MB.
+/// A tile has about this many triangles at most, unless more lie at its border: 1.2 MB.
 const TRIANGLES: usize = 1 << 16;
 
-/// In a tile of this diagonal, positions in f32 are 1/2048 of a voxel apart: larger ones are not for the finest level.
+/// In a tile with this diagonal, f32 resolves 1/2048 of a voxel. Larger tiles are not used at the finest level.
 const FINE_VOXELS: f64 = 8192.0;
 
 /// Voxels along the edge of a tile of level 0.
 const FINEST_VOXELS: i64 = CUBE_VOXELS as i64 / 2;
 
-/// What tiles are written with.
+/// Where tiles are written, and their frame.
 #[derive(Debug)]
 pub(crate) struct Place<'a> {
     pub(crate) folder: &'a Path,
-    /// What positions are relative to, world, metres.
+    /// The origin of the tiles' positions, world, metres.
     pub(crate) origin: DVec3,
     pub(crate) grid: Grid,
 }
 
-/// Which cube of space: level l is divided into cubes of [`FINEST_VOXELS`]·2ˡ voxels.
+/// A cube of space: level l is divided into cubes of [`FINEST_VOXELS`]·2ˡ voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Cube {
     pub(crate) level: u32,
@@ -46,20 +46,20 @@ impl fmt::Display for Cube {
     }
 }
 
-/// A tile that is not yet written.
+/// A tile that is not written yet.
 #[derive(Debug)]
 pub(crate) struct Tile {
     cube: Cube,
     mesh: Mesh,
-    /// Of all of its surface, not only of this mesh, world.
+    /// The bounds of its surface at all levels, not only of this mesh, world.
     bounds: Bounds,
-    /// Tiles below it, one below the other.
+    /// Levels of tiles below it.
     height: u32,
     children: Vec<Node>,
 }
 
 impl Tile {
-    /// Of the surface as it is; `None` if there is none.
+    /// A tile of the original surface; `None` if there is none.
     pub(crate) fn finest(cube: Cube, mesh: Mesh) -> Option<Self> {
         (!mesh.triangles.is_empty()).then(|| Self {
             cube,
@@ -70,7 +70,7 @@ impl Tile {
         })
     }
 
-    /// Makes one tile of those that lie in a cube, and writes them if it does not show all that they show.
+    /// Joins the tiles in a cube into one. If that one is simplified, the others are written as its children.
     pub(crate) fn join(cube: Cube, mut tiles: Vec<Self>, place: &Place<'_>) -> Result<Option<Self>> {
         if tiles.len() < 2 {
             return Ok(tiles.pop());
@@ -93,7 +93,7 @@ impl Tile {
         let height = 1 + tiles.iter().map(|tile| tile.height).max().unwrap_or_default();
         let edge = FINEST_VOXELS << cube.level;
         let at_border = |v| is_on_plane(place.grid, v, edge);
-        // The tolerances of all heights up to this one add up to less than its error.
+        // The tolerances of all heights up to this one sum to less than its error.
         let tolerance_m = place.grid.voxel_size_m() * f64::from(height - 1).exp2();
         Ok(Some(Self {
             cube,
@@ -104,7 +104,8 @@ impl Tile {
         }))
     }
 
-    /// How far its mesh is from the finest one at most, metres: the voxels of its height, and what f32 loses.
+    /// The largest distance between its mesh and the finest one, metres: the voxel size at its height, plus f32
+    /// rounding.
     fn error_m(&self, grid: Grid) -> f64 {
         match self.height {
             0 => 0.0,

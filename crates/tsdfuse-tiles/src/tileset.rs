@@ -1,4 +1,4 @@
-//! `tileset.json`, as 3D Tiles 1.1 has it (OGC 22-025r4).
+//! `tileset.json` of 3D Tiles 1.1 (OGC 22-025r4).
 
 use serde::Serialize;
 use tsdfuse::glam::DVec3;
@@ -20,7 +20,7 @@ struct Asset {
     generator: String,
 }
 
-/// A tile and those that take its place when one comes near.
+/// A tile, and the children that replace it when the viewer comes closer.
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct Node {
@@ -36,7 +36,7 @@ pub(crate) struct Node {
     children: Vec<Node>,
 }
 
-/// Its middle, and half its edges along x, y and z.
+/// Its centre, and half its edges along x, y and z.
 #[derive(Debug, Serialize)]
 struct BoundingVolume {
     #[serde(rename = "box")]
@@ -49,7 +49,7 @@ struct Content {
 }
 
 impl Node {
-    /// A tile whose mesh lies in a file; bounds and error in metres.
+    /// A tile whose mesh is in a file; bounds and error in metres.
     pub(crate) fn new(uri: String, bounds: &Bounds, error_m: f64, children: Vec<Self>) -> Self {
         Self {
             transform: None,
@@ -61,7 +61,7 @@ impl Node {
         }
     }
 
-    /// How many tiles there are from here on, and how many of them one below the other at most.
+    /// The number of tiles in this subtree, and its depth.
     pub(crate) fn count(&self) -> (usize, usize) {
         let below = self.children.iter().map(Self::count);
         let (tiles, levels) = below.fold((0, 0), |all, one| (all.0 + one.0, all.1.max(one.1)));
@@ -80,7 +80,8 @@ impl BoundingVolume {
 }
 
 impl Tileset {
-    /// Of all tiles, which are at `origin` in the world; without them, all there is would be missing.
+    /// The tileset of a tree of tiles whose origin is at `origin` in the world. `size_m` is the error of showing
+    /// nothing at all.
     pub(crate) fn new(mut root: Node, origin: DVec3, size_m: f64) -> Self {
         let DVec3 { x, y, z } = origin;
         root.transform = Some([1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, z, 1.0]);

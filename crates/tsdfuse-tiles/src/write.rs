@@ -6,37 +6,36 @@ use std::{fs, io};
 use rayon::prelude::*;
 use serde::Serialize;
 use tsdfuse::glam::{DVec3, IVec3};
-use tsdfuse::mesh::MeshConfig;
+use tsdfuse::mesh::{CUBE_VOXELS, MeshConfig, Surface, Weld};
 use tsdfuse_io::Error;
 use tsdfuse_io::atomic::{self, Folder};
-use tsdfuse_store::{CUBE_VOXELS, Surface, Weld};
 
 use crate::error::{Result, TilesError};
 use crate::tile::{Cube, Place, Tile};
 use crate::tileset::Tileset;
 
-/// The level at which the tiles about the origin of any map are the last eight.
+/// The level at which at most eight tiles, those around the origin, cover any map.
 const TOP: u32 = 27;
 
 /// What was written.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Written {
-    /// Tiles, each of which is a file beside `tileset.json`.
+    /// Number of tiles; each is a file beside `tileset.json`.
     pub tiles: usize,
-    /// The most tiles that lie one below the other.
+    /// Depth of the tree of tiles.
     pub levels: usize,
-    /// Vertices of the finest tiles; those that tiles share are counted for each.
+    /// Vertices of the finest tiles; shared vertices count once per tile.
     pub vertices: usize,
-    /// Triangles of the finest tiles, which are those of the whole surface.
+    /// Triangles of the finest tiles, which are the triangles of the whole surface.
     pub triangles: usize,
-    /// All files together.
+    /// Total size of all files.
     pub bytes: u64,
 }
 
-/// Finds out before the work whether tiles can be written for this `…/tileset.json`; tells their folder.
+/// Checks before the work begins whether tiles can be written for this `…/tileset.json`. Returns their folder.
 ///
 /// # Errors
-/// [`TilesError::File`] if it is no folder of their own: one that is not there yet, or is empty.
+/// [`TilesError::File`] unless the folder is empty or does not exist yet.
 pub fn check(tileset: &Path) -> Result<&Path> {
     let folder = tileset.parent().filter(|folder| folder.file_name().is_some());
     let own = "tiles are written into a folder of their own: NAME/tileset.json";
@@ -45,10 +44,12 @@ pub fn check(tileset: &Path) -> Result<&Path> {
     Ok(folder)
 }
 
-/// Writes a surface as 3D Tiles: `tileset` (`NAME/tileset.json`), and beside it the tiles. The folder appears when it is complete.
+/// Writes a surface as 3D Tiles: `tileset` (`NAME/tileset.json`) and the tiles beside it. The folder appears once it is
+/// complete.
 ///
 /// # Errors
-/// As [`check`] and [`Surface::pieces`]; [`TilesError::NoSurface`]; also names the file that cannot be written.
+/// As [`check`]; [`TilesError::Surface`] if the map cannot be read, [`TilesError::NoSurface`] if it has no surface,
+/// [`TilesError::File`] if a file cannot be written.
 pub fn write(tileset: &Path, surface: &mut Surface<'_>) -> Result<Written> {
     let folder = Folder::begin(check(tileset)?)?;
     let mut cubes = surface.cubes();
@@ -76,7 +77,7 @@ pub fn write(tileset: &Path, surface: &mut Surface<'_>) -> Result<Written> {
     Ok(written)
 }
 
-/// The bytes of all files of a folder.
+/// Total size of a folder's files.
 fn bytes(folder: &Path) -> io::Result<u64> {
     fs::read_dir(folder)?.map(|entry| Ok(entry?.metadata()?.len())).sum()
 }
@@ -87,7 +88,7 @@ fn no_surface(config: &MeshConfig) -> TilesError {
     }
 }
 
-/// Whole metres in the middle of some cubes, world.
+/// The centre of some cubes, rounded to whole metres, world.
 fn middle(cubes: &[IVec3], voxel_size_m: f64) -> DVec3 {
     let first = cubes.iter().copied().reduce(IVec3::min).unwrap_or_default();
     let last = cubes.iter().copied().reduce(IVec3::max).unwrap_or_default();
@@ -95,7 +96,7 @@ fn middle(cubes: &[IVec3], voxel_size_m: f64) -> DVec3 {
     ((first.as_dvec3() + last.as_dvec3() + 1.0) / 2.0 * edge_m).round()
 }
 
-/// What tiles are made of and where they go.
+/// Where tiles come from and where they go.
 struct Writer<'a, 'b> {
     surface: &'a mut Surface<'b>,
     place: Place<'a>,
@@ -103,13 +104,13 @@ struct Writer<'a, 'b> {
 }
 
 impl Writer<'_, '_> {
-    /// The tile that some of the surface's cubes make, which lie in one cube of this level; `None` if they have no surface.
+    /// The tile of some of the surface's cubes, all within one cube of this level; `None` if they have no surface.
     fn tile(&mut self, level: u32, cubes: &mut [IVec3]) -> Result<Option<Tile>> {
         let Some(first) = cubes.first() else { return Ok(None) };
         let index = *first >> (level - 1);
         let child_of = |cube: IVec3| cube >> (level - 2);
         let tiles = if level == 2 {
-            // Found one after the other, each by all threads; made coarser side by side.
+            // Extracted one after the other, each on all threads; simplified in parallel.
             let finest: Vec<_> = cubes.iter().map(|cube| self.finest(*cube)).collect::<Result<_>>()?;
             let join = |(&index, tiles)| Tile::join(Cube { level: 1, index }, tiles, &self.place);
             cubes.par_iter().zip(finest).map(join).collect::<Result<Vec<_>>>()?
@@ -134,7 +135,7 @@ impl Writer<'_, '_> {
     fn finest(&mut self, cube: IVec3) -> Result<Vec<Tile>> {
         let mut parts: [Weld; 8] = Default::default();
         let index = |part: usize| (cube << 1) + IVec3::new(part as i32 & 1, part as i32 >> 1 & 1, part as i32 >> 2);
-        for piece in self.surface.pieces(cube)? {
+        for piece in self.surface.pieces(cube).map_err(TilesError::Surface)? {
             let half: IVec3 = (piece.block.0 >> 4) & 1;
             let part = half.x | half.y << 1 | half.z << 2;
             parts[part as usize & 7].add(piece.vertices, piece.normals, piece.triangles);

@@ -10,10 +10,10 @@ use serde_json::Value;
 use tsdfuse::glam::{DVec3, IVec3};
 use tsdfuse::index::{BLOCK_VOXELS, BlockIndex, voxel_at};
 use tsdfuse::map::{Block, Voxel};
-use tsdfuse::mesh::{MeshConfig, extract};
+use tsdfuse::mesh::{MeshConfig, Surface, extract, is_on_plane};
 use tsdfuse::{MapConfig, Mesh, VoxelMap};
 use tsdfuse_eval::Reference;
-use tsdfuse_store::{Options, Pager, Surface, is_on_plane};
+use tsdfuse_store::PagedMap;
 use tsdfuse_tiles::{Written, write};
 
 /// Only the speck is higher.
@@ -63,7 +63,7 @@ fn hills(origin: IVec3) -> VoxelMap {
 }
 
 fn tiled(map: &VoxelMap, folder: &Path) -> Written {
-    let mut surface = Surface::whole(map, &MeshConfig::default());
+    let mut surface = Surface::new(map, &MeshConfig::default());
     write(&folder.join("tileset.json"), &mut surface).unwrap()
 }
 
@@ -293,18 +293,17 @@ fn neither_threads_nor_memory_make_a_difference() {
     let one = with_threads(1);
     assert!(one.len() > 4 && one == with_threads(3));
 
-    let little = Options { limit_bytes: 1 << 20 };
+    let store = dir.path().join("a.store");
     let mut all = map.clone();
-    let mut pager = Pager::create(dir.path().join("a.store"), &all, b"", little).unwrap();
-    pager.commit(&mut all, b"").unwrap();
-    drop(pager);
-    let (mut map, mut pager, _) = Pager::open(dir.path().join("a.store"), little).unwrap();
+    let mut paged = PagedMap::create(&store, map, b"", None).unwrap();
+    paged.commit(b"").unwrap();
+    drop(paged);
+    let (mut paged, _) = PagedMap::open(&store, Some(1 << 20)).unwrap();
     let folder = dir.path().join("paged");
-    let mut surface = Surface::paged(&mut map, &mut pager, &MeshConfig::default());
-    write(&folder.join("tileset.json"), &mut surface).unwrap();
+    write(&folder.join("tileset.json"), &mut paged.surface(&MeshConfig::default())).unwrap();
     assert!(files(&folder) == one);
+    assert!(paged.map_in_memory().block_count() < all.block_count());
     // The comparison sees a voxel.
-    assert!(map.block_count() < all.block_count());
     let mut other = BlockIndex(IVec3::new(0, 0, 5));
     other.0 += all.block_indices()[0].0;
     all.insert_block(
@@ -355,7 +354,7 @@ fn places_far_apart_make_few_tiles() {
 fn what_cannot_be_written_is_told_and_leaves_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let refused = |map: &VoxelMap, path: &str| {
-        let mut surface = Surface::whole(map, &MeshConfig::default());
+        let mut surface = Surface::new(map, &MeshConfig::default());
         write(&dir.path().join(path), &mut surface).unwrap_err().to_string()
     };
     let empty = VoxelMap::new(MapConfig::default()).unwrap();

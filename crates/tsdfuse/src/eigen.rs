@@ -109,12 +109,11 @@ fn null_vector(m: &DMat3) -> DVec3 {
 /// Eigenvalues and eigenvectors of (uu, uv; uv, vv) in the plane of the unit vectors u and v, the smaller value first: one
 /// Jacobi rotation.
 fn in_plane((u, v): (DVec3, DVec3), (uu, uv, vv): (f64, f64, f64)) -> ((f64, DVec3), (f64, DVec3)) {
-    let tan = match uv == 0.0 {
-        true => 0.0,
-        false => {
-            let cot_double = (vv - uu) / (2.0 * uv);
-            1.0_f64.copysign(cot_double) / (cot_double.abs() + (cot_double * cot_double + 1.0).sqrt())
-        }
+    let tan = if uv == 0.0 {
+        0.0
+    } else {
+        let cot_double = (vv - uu) / (2.0 * uv);
+        1.0_f64.copysign(cot_double) / (cot_double.abs() + (cot_double * cot_double + 1.0).sqrt())
     };
     let cos = 1.0 / (tan * tan + 1.0).sqrt();
     let sin = tan * cos;

@@ -43,12 +43,17 @@ pub mod surfel;
 pub mod trajectory;
 mod trilinear;
 
-pub use fuse::{Integration, Integrator, Normals, Patch, Raycast, Roldao, Surfels};
+pub use fearless_simd;
+pub use fuse::{
+    Caminal, Cylindrical, Depth, FuseConfig, Integration, Integrator, Kuehner, Method, Normals, Patch, Raycast, Roldao,
+    Surfels,
+};
 pub use glam;
-pub use map::{MapConfig, VoxelMap};
+pub use map::{MapConfig, Sample, VoxelMap};
 pub use mesh::Mesh;
 pub use pose::Pose;
 pub use reach::Reach;
+pub use render::Renderer;
 pub use scan::Scan;
 pub use sensor::SensorModel;
 pub use trajectory::Trajectory;

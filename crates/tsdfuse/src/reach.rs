@@ -49,7 +49,7 @@ const NEIGHBOURHOOD_VOX: f64 = 16.0;
 /// bands around a surface within this many truncations (a camera measures along its optical axis, which is less at its corners).
 const TRUNCATIONS: f64 = 4.0;
 
-/// How far the sensor was from its pose while it measured, and how much it was turned.
+/// How far the sensor was from the scan's pose while it measured, and by how much it was turned.
 fn motion(scan: &Scan, pose: &Pose) -> (f64, f64) {
     let times = scan.times.iter().flatten().copied().filter(|t| t.is_finite());
     let range = times.fold(None, |range: Option<(f32, f32)>, t| {
@@ -109,7 +109,7 @@ impl Reach {
     /// neighbourhoods of 16 voxels around the returns. Returns beyond the scan's range limits must have been dropped.
     ///
     /// # Errors
-    /// [`ScanError`] if the scan contradicts itself.
+    /// [`ScanError`] if the scan contradicts itself or has no pose.
     pub fn of(map: &MapConfig, scan: &Scan) -> Result<Self, ScanError> {
         scan.check()?;
         let pose = scan.world_from_sensor()?;

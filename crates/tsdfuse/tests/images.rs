@@ -243,7 +243,10 @@ impl Pixels {
 
 /// The phase that the library finds for a sweep: its returns' mean, of which the bins of its histogram know a 32nd.
 fn phase(sweep: &Scan) -> f64 {
-    f64::from(tsdfuse::sensor::Cylindrical::phase_of(&sweep.points, COLUMNS as u32))
+    f64::from(tsdfuse::sensor::CylindricalProjection::phase_of(
+        &sweep.points,
+        COLUMNS as u32,
+    ))
 }
 
 #[test]

@@ -67,7 +67,13 @@ impl Harm {
 
 fn harm() -> impl Strategy<Value = Harm> {
     // Places in the headers and anywhere, of pages and of bytes.
-    let at = || prop_oneof![0..8192_u64, 0..2_u64.pow(40), (0..2_u64.pow(28)).prop_map(|page| page * 4096)];
+    let at = || {
+        prop_oneof![
+            0..8192_u64,
+            0..2_u64.pow(40),
+            (0..2_u64.pow(28)).prop_map(|page| page * 4096)
+        ]
+    };
     let count = || prop_oneof![1..16_u64, 1..100_000_u64, Just(4096_u64)];
     prop_oneof![
         prop::collection::vec((at(), 1..=255_u8), 1..4).prop_map(Harm::Flip),
@@ -86,7 +92,11 @@ fn damage_is_told_or_does_not_matter_and_what_is_intact_is_recovered() {
     let bytes = std::fs::read(&path).unwrap();
     let (mut told, mut recovered) = (0, 0);
     let mut runner = TestRunner::deterministic();
-    let fixed = [Harm::Cut(bytes.len() as u64 - 4096), Harm::Zero(64, 8128), Harm::Zero(8192, 1 << 16)];
+    let fixed = [
+        Harm::Cut(bytes.len() as u64 - 4096),
+        Harm::Zero(64, 8128),
+        Harm::Zero(8192, 1 << 16),
+    ];
     let any = (0..CASES).map(|_| harm().new_tree(&mut runner).unwrap().current());
     for harm in fixed.into_iter().chain(any) {
         let bytes = harm.to(&bytes);
@@ -151,7 +161,10 @@ fn a_store_without_any_index_is_recovered_region_by_region() {
     }
     std::fs::write(&path, &bytes).unwrap();
     let told = PagedMap::open(&path, LITTLE).map(drop).unwrap_err();
-    assert!(told.to_string().ends_with("a.store: its index: its length is another"), "{told}");
+    assert!(
+        told.to_string().ends_with("a.store: its index: its length is another"),
+        "{told}"
+    );
     let salvage = Salvage::scan(&path).unwrap();
     assert_eq!((salvage.checkpoint(), &salvage.damage().lost), (None, &None));
     assert!(salvage.map().unwrap() == expected);

@@ -32,14 +32,20 @@ fn child_on_a_full_disk() {
             (None, Some(error)) => first = Some(error.to_string()),
             // From then on every call says why.
             (Some(first), Some(error)) => {
-                assert!(matches!(error, StoreError::Broken { .. }) && error.to_string().starts_with(first), "{error}");
+                assert!(
+                    matches!(error, StoreError::Broken { .. }) && error.to_string().starts_with(first),
+                    "{error}"
+                );
             }
             (None, None) => std::fs::write(format!("{path}.commits"), paged.integrations().to_string()).unwrap(),
             (Some(_), None) => panic!("it went on"),
         }
     }
     let first = first.unwrap();
-    assert!(first.contains("a.store: ") && first.contains("File too large"), "{first}");
+    assert!(
+        first.contains("a.store: ") && first.contains("File too large"),
+        "{first}"
+    );
 }
 
 #[cfg(unix)]
@@ -53,7 +59,10 @@ fn a_full_disk_is_told_and_the_last_commit_survives() {
     drop(paged);
     let kilobytes = std::fs::metadata(&path).unwrap().len() / 1024;
     // dash counts in units of 512 bytes, bash in 1024.
-    let script = format!("trap '' XFSZ; ulimit -f {}; exec \"$0\" disk::child_on_a_full_disk --exact --nocapture", 3 * kilobytes);
+    let script = format!(
+        "trap '' XFSZ; ulimit -f {}; exec \"$0\" disk::child_on_a_full_disk --exact --nocapture",
+        3 * kilobytes
+    );
     let child = Command::new("bash")
         .args(["-c", &script])
         .arg(std::env::current_exe().unwrap())
@@ -61,13 +70,23 @@ fn a_full_disk_is_told_and_the_last_commit_survives() {
         .output()
         .unwrap();
     let told = String::from_utf8_lossy(&child.stderr);
-    assert!(child.status.success() && String::from_utf8_lossy(&child.stdout).contains("1 passed"), "{told}");
-    // The last commit that succeeded, or the one that was being made: its header may have been written before its second copy failed.
+    assert!(
+        child.status.success() && String::from_utf8_lossy(&child.stdout).contains("1 passed"),
+        "{told}"
+    );
+    // The last commit that succeeded, or the one that was being made: its header may have been written before its
+    // second copy failed.
     let commits = std::fs::read_to_string(dir.path().join("a.store.commits")).unwrap();
     let commits: usize = commits.parse().unwrap();
     let (paged, checkpoint) = PagedMap::open(&path, LITTLE).unwrap();
-    assert_eq!((checkpoint.as_slice(), paged.integrations() as usize), (&b"more"[..], commits));
-    assert!(commits > 6 && whole(paged) == fused(Method::Raycast, &sensor, &scans[..commits]), "{commits}");
+    assert_eq!(
+        (checkpoint.as_slice(), paged.integrations() as usize),
+        (&b"more"[..], commits)
+    );
+    assert!(
+        commits > 6 && whole(paged) == fused(Method::Raycast, &sensor, &scans[..commits]),
+        "{commits}"
+    );
 }
 
 #[test]
@@ -79,7 +98,10 @@ fn a_store_can_be_read_where_nothing_can_be_written_and_by_several() {
     fused_with_little(&mut paged, Method::Raycast, &sensor, &scans[..8], &[6]);
     // While it is written, nobody reads it.
     let told = PagedMap::open_read_only(&path, LITTLE).map(drop).unwrap_err();
-    assert!(told.to_string().ends_with("a.store: another process has it open"), "{told}");
+    assert!(
+        told.to_string().ends_with("a.store: another process has it open"),
+        "{told}"
+    );
     // As if the process had been killed.
     drop(paged);
     let before = std::fs::read(&path).unwrap();
@@ -107,7 +129,10 @@ fn a_store_can_be_read_where_nothing_can_be_written_and_by_several() {
     read_only(dir.path(), false);
     read_only(&path, false);
     let told = PagedMap::open(&path, LITTLE).map(drop).unwrap_err();
-    assert!(told.to_string().ends_with("a.store: another process has it open"), "{told}");
+    assert!(
+        told.to_string().ends_with("a.store: another process has it open"),
+        "{told}"
+    );
     assert!(!tsdfuse_store::remove_unused(&path));
     drop((a, b));
     assert!(std::fs::read(&path).unwrap() == before);

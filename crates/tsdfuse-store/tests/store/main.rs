@@ -56,7 +56,8 @@ fn fused(method: Method, sensor: &SensorModel, scans: &[Scan]) -> VoxelMap {
     map
 }
 
-/// Fuses scans with little of the map in memory, commits after some of them (counted from 1), and tells how often something was evicted.
+/// Fuses scans with little of the map in memory, commits after some of them (counted from 1), and tells how often
+/// something was evicted.
 fn fused_with_little(
     paged: &mut PagedMap,
     method: Method,

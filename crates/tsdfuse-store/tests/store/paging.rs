@@ -100,7 +100,7 @@ fn the_mesh_of_a_map_in_parts_is_that_of_the_whole() {
         ("near", DVec3::ZERO),
         ("far", DVec3::new(691_000.0, 5_335_000.0, 520.0)),
     ] {
-        scans.iter_mut().for_each(|scan| scan.pose.translation += offset);
+        scans.iter_mut().for_each(|scan| scan.pose.as_mut().unwrap().translation += offset);
         let mut paged = new_store(&dir.path().join(name));
         fused_with_little(&mut paged, Method::Raycast, &sensor, &scans, &[scans.len()]);
         let expected = fused(Method::Raycast, &sensor, &scans);
@@ -178,7 +178,10 @@ fn what_is_touched_unasked_is_an_error() {
     let (mut paged, _) = PagedMap::open(&path, LITTLE).unwrap();
     pokes.is_honest = false;
     let told = paged.integrate(&mut pokes, &a_scan()).unwrap_err();
-    assert!(matches!(told, PagedError::Store(StoreError::BeyondReach { .. })), "{told}");
+    assert!(
+        matches!(told, PagedError::Store(StoreError::BeyondReach { .. })),
+        "{told}"
+    );
     let told = told.to_string();
     assert!(
         told.ends_with("a.store: region [0, 0, 0] was touched although it lies beyond the scan's reach"),
@@ -246,7 +249,10 @@ fn blocks_are_put_in_with_little_memory() {
     assert!(paged.most_bytes() < map.memory_bytes());
     let index = map.block_indices()[0];
     let told = paged.put_block(index, Block::EMPTY).unwrap_err().to_string();
-    assert!(told.contains("a.store: block ") && told.ends_with(" is there already"), "{told}");
+    assert!(
+        told.contains("a.store: block ") && told.ends_with(" is there already"),
+        "{told}"
+    );
     // A block that is refused does no harm.
     paged.set_integrations(map.integrations());
     let saved = dir.path().join("a.tsdf");
@@ -299,7 +305,10 @@ fn stores_that_are_none_are_named() {
     assert!(told.contains("a.store: ") && told.lines().count() == 1, "{told}");
     std::fs::write(&path, b"redb and more").unwrap();
     let told = open();
-    assert!(told.contains("a.store: this store was written by an earlier version"), "{told}");
+    assert!(
+        told.contains("a.store: this store was written by an earlier version"),
+        "{told}"
+    );
     let create = |name: &str| {
         let map = VoxelMap::new(config()).unwrap();
         let created = PagedMap::create(dir.path().join(name), map, b"", LITTLE);

@@ -8,6 +8,14 @@ use crate::{
     sensor::{SensorModel, grid_of, guess, recover_rings},
 };
 
+/// The rings of a scan: its own, or recovered ones.
+pub fn rings_of<'a>(scan: &'a Scan, model: &SensorModel) -> Cow<'a, [u16]> {
+    match &scan.rings {
+        Some(rings) => Cow::Borrowed(rings),
+        None => Cow::Owned(recover_rings(&scan.points, model).rings),
+    }
+}
+
 /// A sensor's model, once it is known.
 #[derive(Debug, Default)]
 pub struct Beams {
@@ -54,14 +62,6 @@ impl Beams {
                 Ok((Cow::Owned(grid), rings.into()))
             }
         }
-    }
-}
-
-/// The rings of a scan: its own, or recovered ones.
-pub fn rings_of<'a>(scan: &'a Scan, model: &SensorModel) -> Cow<'a, [u16]> {
-    match &scan.rings {
-        Some(rings) => Cow::Borrowed(rings),
-        None => Cow::Owned(recover_rings(&scan.points, model).rings),
     }
 }
 

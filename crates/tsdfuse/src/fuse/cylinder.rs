@@ -11,7 +11,7 @@ use super::gather::{ROW, ROWS};
 use crate::index::{BLOCK_EDGE, BlockIndex, GridPoint, round};
 
 /// √3/2: the largest distance of a point in a voxel to its centre, in voxels (5.6).
-pub(crate) const VOXEL_RADIUS: f32 = 0.866_025_4;
+pub const VOXEL_RADIUS: f32 = 0.866_025_4;
 
 /// Widening of what is proposed, in voxels: far above the rounding errors of f32 within a cylinder.
 pub(super) const SLACK: f32 = 0.01;
@@ -33,23 +33,25 @@ pub(crate) struct Cylinder {
     stretch_x: f32,
 }
 
-/// Eight voxels, in a row of a block or not, in voxels from the centre of a cylinder.
+/// Eight voxels, in a row of a block or not: their centres v relative to the centre c of a line, in voxels.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Row<S: Simd> {
-    /// v − c.
-    pub(crate) x: f32x8<S>,
-    pub(crate) y: f32x8<S>,
-    pub(crate) z: f32x8<S>,
-    /// (v − c)·axis.
-    pub(crate) along: f32x8<S>,
+pub struct EightVoxels<S: Simd> {
+    /// v − c along the world's x axis.
+    pub x: f32x8<S>,
+    /// v − c along y.
+    pub y: f32x8<S>,
+    /// v − c along z.
+    pub z: f32x8<S>,
+    /// (v − c)·axis: how far they are along the line.
+    pub along: f32x8<S>,
     /// ‖v − c‖².
-    pub(crate) distance2: f32x8<S>,
+    pub distance2: f32x8<S>,
 }
 
-impl<S: Simd> Row<S> {
-    /// Those at most `radius` from the line and `half_length` from the plane.
+impl<S: Simd> EightVoxels<S> {
+    /// Those at most `radius` from the line, and at most `half_length` from its centre along it.
     #[inline(always)]
-    pub(crate) fn within(&self, radius: f32, half_length: f32) -> mask32x8<S> {
+    pub fn within(&self, radius: f32, half_length: f32) -> mask32x8<S> {
         (self.distance2 - self.along * self.along).simd_le(radius * radius) & self.along.abs().simd_le(half_length)
     }
 }
@@ -168,7 +170,12 @@ impl Cylinder {
 
     /// Visits the rows of a block, by their numbers y + 8 z, that the cylinder may reach into.
     #[inline(always)]
-    pub(crate) fn for_each_row<S: Simd>(&self, simd: S, block: BlockIndex, mut visit: impl FnMut(usize, &Row<S>)) {
+    pub(crate) fn for_each_row<S: Simd>(
+        &self,
+        simd: S,
+        block: BlockIndex,
+        mut visit: impl FnMut(usize, &EightVoxels<S>),
+    ) {
         let cell = (block.first_voxel() - self.center.voxel).as_vec3();
         let steps = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
         let x = (steps + cell.x) + 0.5 - self.center.fraction.x;
@@ -202,7 +209,7 @@ impl Cylinder {
             let row = rows.trailing_zeros() as usize % ROWS;
             rows &= rows - 1;
             let (j, k) = (row % ROW, row / ROW);
-            let voxels = Row {
+            let voxels = EightVoxels {
                 x,
                 y: f32x8::splat(simd, (cell.y + j as f32) + 0.5 - self.center.fraction.y),
                 z: f32x8::splat(simd, (cell.z + k as f32) + 0.5 - self.center.fraction.z),

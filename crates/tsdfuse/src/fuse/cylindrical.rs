@@ -15,7 +15,7 @@ use crate::{
     map::{MapConfig, VoxelMap},
     reach::Reach,
     scan::Scan,
-    sensor::{Cylindrical as Projection, CylindricalPoint, NONE, SensorModel},
+    sensor::{CylindricalPoint, CylindricalProjection as Projection, NONE, SensorModel},
 };
 
 /// The integrator of cylindrical depth images.

@@ -17,7 +17,8 @@ use glam::{Mat3, Vec3};
 use super::{
     FuseError, Integration, Integrator,
     centers::{BLOCK_RADIUS, Centers, depths_at},
-    gather::{Gather, Near, ROW, Skip, Updates},
+    engine::Skip,
+    gather::{Gather, Near, ROW, Updates},
     pierced::Segment,
 };
 use crate::{

@@ -1,16 +1,17 @@
-//! The engine under all methods: items (returns, pixels, surfels) name blocks, blocks gather updates.
+//! The engine for everything but thin lines: items (returns, pixels, surfels) name the blocks that they may touch, and each block gathers
+//! the updates of the items that named it.
 //!
 //! ```text
-//!   returns ─┬─ lane 0 ─▶ per shard: items, blocks, and names (which block, which item)   pass 1: threads own lanes
-//!            └─ lane …
-//!   shard 0 ◀─ the items of every lane, by block ─▶ 512 sums ─▶ the block in the map      pass 2: threads own shards
+//!   returns ─┬─ piece 0 ─▶ per shard: items, blocks, and names (which block, which item)  pass 1: threads own pieces
+//!            └─ piece …
+//!   shard 0 ◀─ the items of every piece, by block ─▶ 512 sums ─▶ the block in the map      pass 2: threads own shards
 //!   shard …
 //! ```
 //!
-//! What costs time in fusing is the way to memory: a scan updates a million voxels all over a large map. So what a voxel gets
-//! is worked out block by block, in sums that stay in the CPU's nearest cache, and the map is written once per block, only the
-//! rows (cache lines) that changed. A row is also what a vector of the CPU holds: methods work out eight voxels at once. What
-//! pass 2 needs to know of an item goes with it, in streams: looking it up elsewhere would be a miss of the cache each time.
+//! Memory access dominates the cost of fusing: a scan updates a million voxels all over a large map. So the updates of a block are
+//! summed up in the CPU's first-level cache, and the block in the map is written once, only the rows (cache lines) that changed. A
+//! row is also what a vector register holds: methods compute eight voxels at once. What pass 2 needs to know of an item is copied along
+//! in streams, since looking it up elsewhere would miss the cache each time.
 //!
 //! No locks, no atomics, no `unsafe`. The same bits on any number of threads: sums are integers, the items of a block come in
 //! order, and blocks are made by the thread that owns their shard.
@@ -23,10 +24,13 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 use rustc_hash::FxBuildHasher;
 
-use super::{Integration, Skipped};
+use super::{
+    Integration,
+    engine::{Counts, PIECES, Skip, fixed_row},
+};
 use crate::{
-    index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex, ROUND, SHARDS, in_region, shard_of},
-    map::{Block, OutOfMemory, Shard, VoxelMap, WEIGHT_SCALE, fixed},
+    index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex, SHARDS, in_region, shard_of},
+    map::{Block, OutOfMemory, Shard, VoxelMap, fixed},
 };
 
 /// Voxels in a row.
@@ -35,59 +39,35 @@ pub(crate) const ROW: usize = BLOCK_EDGE as usize;
 /// Rows in a block, numbered y + 8 z.
 pub(crate) const ROWS: usize = BLOCK_VOXELS / ROW;
 
-/// Pieces of a scan: enough to balance the load of many threads.
-pub(super) const LANES: usize = 32;
-
-/// Why an item made no update.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Skip {
-    OutsideGrid,
-    WithoutNormal,
-    WithoutWeight,
-}
-
-/// What became of the items of one lane.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Counts {
-    fused: u64,
-    skipped: Skipped,
-}
-
-impl Counts {
-    pub(super) fn count(&mut self, done: Result<(), Skip>) {
-        match done {
-            Ok(()) => self.fused += 1,
-            Err(Skip::OutsideGrid) => self.skipped.outside_grid += 1,
-            Err(Skip::WithoutNormal) => self.skipped.without_normal += 1,
-            Err(Skip::WithoutWeight) => self.skipped.without_weight += 1,
-        }
-    }
-
-    /// What an integration did that updated these blocks.
-    pub(super) fn sum<'a>(
-        updated_blocks: Vec<BlockIndex>,
-        find_secs: f64,
-        all: impl Iterator<Item = &'a Self>,
-    ) -> Integration {
-        let mut done = Integration {
-            updated_blocks,
-            find_secs,
-            ..Default::default()
-        };
-        for counts in all {
-            done.skipped += counts.skipped;
-            done.fused_returns += counts.fused;
-        }
-        done
-    }
-}
-
-/// Buffers of the engine, kept from scan to scan. `T` is what the update of a block wants to know of an item.
+/// The engine that updates blocks from the items that may touch them. Keep it from scan to scan: it keeps its buffers. `T` is what the
+/// update of a block wants to know of an item.
+///
+/// ```
+/// use tsdfuse::{VoxelMap, MapConfig, fuse::Gather, glam::IVec3, index::{BlockIndex, local_number}};
+/// // Each item adds weight to one voxel.
+/// let voxels = [IVec3::new(3, 0, 0), IVec3::new(-1, 9, 2), IVec3::new(3, 0, 0)];
+/// let mut map = VoxelMap::new(MapConfig::default())?;
+/// let done = Gather::<IVec3>::default().run(
+///     &mut map,
+///     voxels.len(),
+///     |items, near| {
+///         for i in items {
+///             near.block(BlockIndex::of(voxels[i]), i as u32, voxels[i]);
+///             near.count(Ok(()));
+///         }
+///     },
+///     |_| false,
+///     |_, items, updates| items.iter().for_each(|&voxel| updates.add(local_number(voxel), -0.5, 1.0)),
+/// );
+/// assert_eq!((done.updated_blocks.len(), done.fused_returns), (2, 3));
+/// assert_eq!((map.voxel(voxels[0]).weight(), map.voxel(voxels[0]).distance()), (2.0, Some(-0.5)));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
-pub(crate) struct Gather<T = ()> {
+pub struct Gather<T = ()> {
     /// The vector instructions of this CPU.
     level: Level,
-    lanes: Vec<Near<T>>,
+    pieces: Vec<Near<T>>,
     shards: Vec<Named<T>>,
 }
 
@@ -97,8 +77,8 @@ impl<T: Item> Default for Gather<T> {
     }
 }
 
-/// What can be said of an item.
-pub(crate) trait Item: Copy + Send + Sync {}
+/// What can be known of an item.
+pub trait Item: Copy + Send + Sync {}
 
 impl<T: Copy + Send + Sync> Item for T {}
 
@@ -107,23 +87,27 @@ impl<T: Item> Gather<T> {
     pub(crate) fn with(level: Level) -> Self {
         Self {
             level,
-            lanes: (0..LANES).map(|_| Near::default()).collect(),
+            pieces: (0..PIECES).map(|_| Near::default()).collect(),
             shards: (0..SHARDS).map(|_| Named::default()).collect(),
         }
     }
 
-    /// The vector instructions to use.
-    pub(crate) fn level(&self) -> Level {
+    /// The vector instructions of this CPU, for `fearless_simd::dispatch!`.
+    pub fn level(&self) -> Level {
         self.level
     }
 
-    /// Lets each of `items` items name the blocks it may touch, then updates those blocks, and the blocks of the map that
-    /// are `visible` although no item named them.
+    /// Lets each of `items` items name the blocks that it may touch, then updates those blocks, and the blocks of the map that
+    /// are `visible` although no item named them. It counts as one integration.
     ///
-    /// `name` is called for parts of the items, on any thread, and tells what becomes of each ([`Near::count`]).
-    /// `update` is called once per block, with the items that named it, in order, on any thread (and again for each further
-    /// 256 items). It updates a voxel at most 64 times for each item. Blocks are made only if they get an update.
-    pub(crate) fn run(
+    /// `name` is called for ranges of items, on any thread, and reports what became of each ([`Near::count`]).
+    /// `update` is called once per block on any thread, with the items that named the block, in order (and again for each further
+    /// 256 items). It must update a voxel at most 64 times for each item, or sums overflow. Blocks are made only if they get an
+    /// update.
+    ///
+    /// # Errors
+    /// There is no memory for a block, and a part of the updates is made; or more blocks are named than can have memory.
+    pub fn run(
         &mut self,
         map: &mut VoxelMap,
         items: usize,
@@ -133,33 +117,33 @@ impl<T: Item> Gather<T> {
     ) -> Result<Integration, OutOfMemory> {
         let start = Instant::now();
         let limit_bytes = map.memory_limit();
-        self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
-            lane.clear(limit_bytes);
-            name(items * k / LANES..items * (k + 1) / LANES, lane);
+        self.pieces.par_iter_mut().enumerate().for_each(|(k, piece)| {
+            piece.clear(limit_bytes);
+            name(items * k / PIECES..items * (k + 1) / PIECES, piece);
         });
-        if self.lanes.iter().any(|lane| lane.is_full) {
+        if self.pieces.iter().any(|piece| piece.is_full) {
             return Err(OutOfMemory::Limit { limit_bytes });
         }
         let (stamp, limit) = map.begin_integration();
         let find_secs = start.elapsed().as_secs_f64();
-        let lanes = &self.lanes;
+        let pieces = &self.pieces;
         let level = self.level;
         let shards = map.shards.par_iter_mut().zip(&mut self.shards).enumerate();
         let touched: Result<Vec<Vec<BlockIndex>>, OutOfMemory> = shards
             .map(|(s, (shard, named))| {
-                named.collect(lanes.iter().map(|lane| &lane.buckets[s]));
+                named.collect(pieces.iter().map(|piece| &piece.buckets[s]));
                 let writer = Writer { stamp, limit, level };
                 writer.update_shard(shard, named, &visible, &update)
             })
             .collect();
-        let counts = self.lanes.iter().map(|lane| &lane.counts);
+        let counts = self.pieces.iter().map(|piece| &piece.counts);
         Ok(Counts::sum(touched?.concat(), find_secs, counts))
     }
 }
 
-/// Which blocks the items of one piece of a scan may touch: what pass 1 writes to.
+/// Takes down which blocks the items of one piece of a scan may touch.
 #[derive(Debug)]
-pub(crate) struct Near<T> {
+pub struct Near<T> {
     addresses: HashMap<BlockIndex, Address, FxBuildHasher>,
     /// The addresses of the blocks named last, by the low bits of their indices.
     recent: [(BlockIndex, Address); 64],
@@ -170,7 +154,7 @@ pub(crate) struct Near<T> {
     is_full: bool,
 }
 
-/// What a lane says of one shard.
+/// What a piece of a scan says of one shard.
 #[derive(Debug)]
 struct Bucket<T> {
     /// Each block once, with the number of the item that named it last.
@@ -225,7 +209,7 @@ impl<T> Bucket<T> {
 
 impl<T: Item> Near<T> {
     fn clear(&mut self, limit_bytes: usize) {
-        (self.room, self.is_full) = (limit_bytes / (LANES * LIMIT_PER_NAME), false);
+        (self.room, self.is_full) = (limit_bytes / (PIECES * LIMIT_PER_NAME), false);
         self.addresses.clear();
         self.recent = [NO_ADDRESS; 64];
         for bucket in &mut self.buckets {
@@ -237,16 +221,16 @@ impl<T: Item> Near<T> {
         self.counts = Counts::default();
     }
 
-    /// Notes what became of an item.
+    /// Counts what became of an item.
     #[inline(always)]
-    pub(crate) fn count(&mut self, done: Result<(), Skip>) {
+    pub fn count(&mut self, done: Result<(), Skip>) {
         self.counts.count(done);
     }
 
-    /// Names a block, and what its update wants to know of the item, which has the number `tag`, or always 0 where items do
-    /// not matter. Twice the same counts once.
+    /// Names a block that an item may touch. `item` is what the block's update wants to know of it, `tag` its number (or always 0
+    /// where items do not matter). Naming a block twice in a row for one item counts once.
     #[inline]
-    pub(crate) fn block(&mut self, block: BlockIndex, tag: u32, item: T) {
+    pub fn block(&mut self, block: BlockIndex, tag: u32, item: T) {
         let low = block.0 & 3;
         let recent = (low.x | low.y << 2 | low.z << 4) as usize;
         if self.recent[recent].0 != block {
@@ -286,14 +270,14 @@ impl<T: Item> Near<T> {
     }
 }
 
-/// The names of all lanes for one shard, by block.
+/// The names of all pieces for one shard, by block.
 #[derive(Debug)]
 struct Named<T> {
     blocks: Vec<BlockIndex>,
     numbers: HashMap<BlockIndex, u32, FxBuildHasher>,
-    /// For each lane's blocks, one lane after the other: the number in `blocks`.
-    numbers_of_lanes: Vec<u32>,
-    /// Of all lanes.
+    /// For each piece's blocks, one piece after the other: the number in `blocks`.
+    numbers_of_pieces: Vec<u32>,
+    /// Of all pieces.
     items: Vec<T>,
     /// Where the names of each block end.
     ends: Vec<u32>,
@@ -306,7 +290,7 @@ impl<T> Default for Named<T> {
         Self {
             blocks: Vec::new(),
             numbers: HashMap::default(),
-            numbers_of_lanes: Vec::new(),
+            numbers_of_pieces: Vec::new(),
             items: Vec::new(),
             ends: Vec::new(),
             names: Vec::new(),
@@ -315,27 +299,27 @@ impl<T> Default for Named<T> {
 }
 
 impl<T: Item> Named<T> {
-    /// A counting sort: the lanes hold parts of the items one after the other, so that the items of a block come in order.
+    /// A counting sort: the pieces hold parts of the items one after the other, so that the items of a block come in order.
     fn collect<'a>(&mut self, buckets: impl Iterator<Item = &'a Bucket<T>> + Clone)
     where
         T: 'a,
     {
         self.blocks.clear();
         self.numbers.clear();
-        self.numbers_of_lanes.clear();
+        self.numbers_of_pieces.clear();
         self.items.clear();
         self.ends.clear();
         for bucket in buckets.clone() {
-            let first = self.numbers_of_lanes.len();
+            let first = self.numbers_of_pieces.len();
             for &(block, _) in &bucket.blocks {
                 let number = *self.numbers.entry(block).or_insert_with(|| {
                     self.blocks.push(block);
                     self.ends.push(0);
                     (self.blocks.len() - 1) as u32
                 });
-                self.numbers_of_lanes.push(number);
+                self.numbers_of_pieces.push(number);
             }
-            let numbers = &self.numbers_of_lanes[first..];
+            let numbers = &self.numbers_of_pieces[first..];
             for &(number, _) in &bucket.names {
                 self.ends[numbers[number as usize] as usize] += 1;
             }
@@ -348,7 +332,7 @@ impl<T: Item> Named<T> {
         self.names.resize(sum as usize, 0);
         let mut first = 0;
         for bucket in buckets {
-            let numbers = &self.numbers_of_lanes[first..];
+            let numbers = &self.numbers_of_pieces[first..];
             let first_item = self.items.len() as u32;
             self.items.extend_from_slice(&bucket.items);
             for &(number, item) in &bucket.names {
@@ -372,15 +356,15 @@ impl<T: Item> Named<T> {
 
 /// The items that named a block.
 #[derive(Debug)]
-pub(crate) struct Items<'a, T> {
+pub struct Items<'a, T> {
     items: &'a [T],
     names: &'a [u32],
 }
 
 impl<'a, T> Items<'a, T> {
-    /// In order.
+    /// The items, in the order of their numbers.
     #[inline(always)]
-    pub(crate) fn iter(&self) -> impl Iterator<Item = &'a T> + Clone + use<'a, T> {
+    pub fn iter(&self) -> impl Iterator<Item = &'a T> + Clone + use<'a, T> {
         let (items, names) = (self.items, self.names);
         names.iter().map(|&i| &items[i as usize])
     }
@@ -388,7 +372,7 @@ impl<'a, T> Items<'a, T> {
 
 /// The updates of one block in one scan.
 #[derive(Debug)]
-pub(crate) struct Updates {
+pub struct Updates {
     weights: [[i32; ROW]; ROWS],
     distances: [[i32; ROW]; ROWS],
     /// A bit for each row whose sums may not be 0.
@@ -406,10 +390,10 @@ impl Updates {
         rows: 0,
     };
 
-    /// Adds an update to the voxel with number `local`: distance over μ (clamped to ±1) and weight (clamped to 0..=1; too
-    /// little is no update).
+    /// Adds an update to the voxel with number `local` ([`local_number`](crate::index::local_number)): distance over μ (clamped to ±1)
+    /// and weight (clamped to 0..=1; less than 1/65536 is no update). Neither may be NaN.
     #[inline(always)]
-    pub(crate) fn add(&mut self, local: usize, distance: f32, weight: f32) {
+    pub fn add(&mut self, local: usize, distance: f32, weight: f32) {
         let (weight, distance) = fixed(distance, weight);
         let (row, x) = (local / ROW % ROWS, local % ROW);
         self.rows |= 1 << row;
@@ -418,9 +402,9 @@ impl Updates {
     }
 
     /// Adds an update to those of the eight voxels of a row, `row` = y + 8 z, that are `inside`; distances and weights as for
-    /// [`Updates::add`], with the same rounding.
+    /// [`Updates::add`], with the same rounding. Those of voxels outside may be NaN.
     #[inline(always)]
-    pub(crate) fn add_row<S: Simd>(&mut self, row: usize, inside: mask32x8<S>, distance: f32x8<S>, weight: f32x8<S>) {
+    pub fn add_row<S: Simd>(&mut self, row: usize, inside: mask32x8<S>, distance: f32x8<S>, weight: f32x8<S>) {
         let (weight, distance) = fixed_row(distance, weight);
         let row = row % ROWS;
         self.rows |= u64::from(inside.any_true()) << row;
@@ -461,18 +445,6 @@ impl Updates {
         self.rows = 0;
         most > limit
     }
-}
-
-/// [`fixed`], for eight voxels.
-#[inline(always)]
-pub(super) fn fixed_row<S: Simd>(distance: f32x8<S>, weight: f32x8<S>) -> (i32x8<S>, i32x8<S>) {
-    let scaled = weight.max(0.0).min(1.0) * WEIGHT_SCALE as f32 + ROUND;
-    let product = distance.max(-1.0).min(1.0) * (scaled - ROUND) + ROUND;
-    let zero = ROUND.to_bits() as i32;
-    (
-        scaled.bitcast::<i32x8<S>>() - zero,
-        product.bitcast::<i32x8<S>>() - zero,
-    )
 }
 
 /// Pass 2.
@@ -552,12 +524,13 @@ mod tests {
                 for &tag in items.iter() {
                     let weight = if block == full { tag as f32 / 1000.0 } else { 0.0 };
                     let distances = [0, 1, 2, 3, 4, 5, 6, 7].map(|x| x as f32 / 4.0 - 1.0);
-                    match by_row {
-                        true => dispatch!(level, simd => {
+                    if by_row {
+                        dispatch!(level, simd => {
                             let all = mask32x8::splat(simd, true);
                             updates.add_row(5, all, f32x8::simd_from(simd, distances), f32x8::splat(simd, weight));
-                        }),
-                        false => (0..8).for_each(|x| updates.add(40 + x, distances[x], weight)),
+                        });
+                    } else {
+                        (0..8).for_each(|x| updates.add(40 + x, distances[x], weight));
                     }
                 }
             },

@@ -23,7 +23,8 @@ use super::{
     beams::{Beams, rings_of},
     centers::{Centers, depths_at},
     depth::world_axes,
-    gather::{Gather, Near, ROW, Skip, Updates},
+    engine::Skip,
+    gather::{Gather, Near, ROW, Updates},
     placed::Placed,
 };
 use crate::{
@@ -31,7 +32,7 @@ use crate::{
     map::{MapConfig, VoxelMap},
     reach::Reach,
     scan::Scan,
-    sensor::{Cylindrical, CylindricalPoint, PART, SensorModel, approx::sin_cos},
+    sensor::{CylindricalPoint, CylindricalProjection, PART, SensorModel, approx::sin_cos},
 };
 
 /// Options of [`Kuehner`].
@@ -203,7 +204,7 @@ const MAX_VOXELS: f64 = 2e9;
 /// A cylindrical depth image: ρ per pixel, 0 for an empty one, column by column.
 #[derive(Debug)]
 pub(super) struct Image {
-    pub(super) projection: Cylindrical,
+    pub(super) projection: CylindricalProjection,
     depths_m: Vec<f32>,
     /// The beam that measured a pixel.
     rings: Vec<u16>,
@@ -238,8 +239,8 @@ impl Image {
             .map_or(0.0, |r| r[1])
             .max(reach.last().map_or(0.0, |r| r[0]))
             * pitch;
-        let phase = Cylindrical::phase_of(&scan.points, sensor.columns);
-        let projection = Cylindrical::new(sensor, center_z_m, phase, margin);
+        let phase = CylindricalProjection::phase_of(&scan.points, sensor.columns);
+        let projection = CylindricalProjection::new(sensor, center_z_m, phase, margin);
         let pixels = projection.rows() * projection.columns();
         depths_m.clear();
         depths_m.resize(pixels, 0.0);

@@ -1,9 +1,9 @@
-//! Updating the voxels about thin lines: what raycasting and local normals do, a hundred thousand times a scan.
+//! The engine for thin lines: updating the voxels along them, as raycasting, local normals and patches do, a hundred thousand times a scan.
 //!
 //! ```text
-//!   returns ─┬─ lane 0 ─▶ lines, by the regions of 8³ blocks that they may reach into     pass 1: threads own lanes
-//!            └─ lane …
-//!   shard 0 ◀─ the lines of every lane, region by region ─▶ voxels of the map             pass 2: threads own shards
+//!   returns ─┬─ piece 0 ─▶ lines, by the regions of 8³ blocks that they may reach into     pass 1: threads own pieces
+//!            └─ piece …
+//!   shard 0 ◀─ the lines of every piece, region by region ─▶ voxels of the map             pass 2: threads own shards
 //!   shard …
 //! ```
 //!
@@ -31,8 +31,8 @@ use rayon::prelude::*;
 
 use super::{
     Integration,
-    cylinder::{Row, SLACK, VOXEL_RADIUS},
-    gather::{Counts, LANES, Skip, fixed_row},
+    cylinder::{EightVoxels, SLACK, VOXEL_RADIUS},
+    engine::{Counts, PIECES, Skip, fixed_row},
 };
 use crate::{
     index::{
@@ -43,37 +43,50 @@ use crate::{
     memory::prefetch,
 };
 
-/// A line through `center` along the unit vector `axis`, whose voxels are updated with a weight.
+/// A short line, whose voxels are updated.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Line {
-    pub(crate) center: GridPoint,
-    pub(crate) axis: Vec3,
-    /// How far from the centre, along the line, voxels are updated at most, in voxels.
-    pub(crate) reach: f32,
-    pub(crate) weight: f32,
+pub struct Line {
+    /// A point on the line, mostly that of the surface.
+    pub center: GridPoint,
+    /// Unit vector along the line, world axes.
+    pub axis: Vec3,
+    /// How far from the centre, along the line, voxels are updated at most, in voxels: finite, and 0 or more.
+    pub reach: f32,
+    /// The weight of the updates, for the [`Rule`].
+    pub weight: f32,
 }
 
-/// What a method does to the voxels about a line, eight at a time.
-pub(crate) trait Rule: Sync {
-    /// Where all voxels lie that are updated.
+impl Line {
+    /// Whether the numbers make a line; [`Lines::run`] demands it.
+    fn is_valid(&self) -> bool {
+        (self.axis.length_squared() - 1.0).abs() < 1e-3 && (0.0..=1e4).contains(&self.reach)
+    }
+}
+
+/// Which voxels near a line a method updates, with what distance and what weight, eight voxels at a time.
+pub trait Rule: Sync {
+    /// The shape that holds all voxels that may be updated.
     const SHAPE: Shape;
 
-    /// How many planes of voxels are looked at together: no more than most lines pass.
+    /// How many planes of voxels are processed together: no more than most lines cross.
     const PLANES: Planes = Planes::Eight;
 
-    /// Prepares for one line; what is returned tells for voxels near it which of them are updated (none farther than √3/2 from
-    /// the line, nor than its reach along it), with what distance over μ, and with what weight.
-    fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>);
+    /// Returns the rule for one line: eight voxels near the line in; out come the mask of those to update, their distances over μ, and
+    /// their weights (both clamped as in [`Updates::add`](super::Updates::add)). The mask may only hold voxels within [`Self::SHAPE`].
+    ///
+    /// Write `#[inline(always)]` on this function and on the closure that it returns: a closure that is not inlined is not compiled
+    /// for the CPU's vector instructions.
+    fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&EightVoxels<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>);
 }
 
-/// Where voxels lie whose centres are at most √3/2 from a line and at most as far from its centre along it as it reaches.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Shape {
-    /// All of these.
+/// Which voxels near a line may be updated. Distances are those of voxel centres, in voxels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// Those at most [`VOXEL_RADIUS`] from the line and, measured along it, at most its reach from its centre.
     Cylinder,
-    /// Those at most that far from its centre.
+    /// Those of the cylinder that are at most its reach from its centre.
     RoundedCylinder,
-    /// Those of the latter that the line passes through.
+    /// Those of the rounded cylinder that the line passes through.
     Pierced,
 }
 
@@ -116,12 +129,12 @@ impl Shape {
     }
 }
 
-/// How many planes across a line's dominant axis are looked at together.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Planes {
-    /// One lane each.
+/// How many planes across a line's dominant axis are processed together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Planes {
+    /// One vector lane each.
     Eight,
-    /// Two lanes each, for two voxels of each plane.
+    /// Two vector lanes each, for two voxels of each plane.
     Four,
 }
 
@@ -173,17 +186,17 @@ const REGION_EDGE: i32 = 1 << REGION_SHIFT;
 /// Of voxel coordinates within a region, none of these is set.
 const BEYOND: i32 = !(REGION_EDGE - 1);
 
-/// Buffers, kept from scan to scan.
+/// The engine that updates the voxels along thin lines. Keep it from scan to scan: it keeps its buffers.
 #[derive(Debug)]
-pub(crate) struct Lines {
+pub struct Lines {
     /// The vector instructions of this CPU.
     level: Level,
-    lanes: Vec<Lane>,
+    pieces: Vec<Piece>,
 }
 
 /// The lines of one piece of a scan.
 #[derive(Debug, Default)]
-struct Lane {
+struct Piece {
     lines: Vec<Line>,
     buckets: Vec<Bucket>,
     /// The region of the last line, and its shard.
@@ -191,7 +204,7 @@ struct Lane {
     counts: Counts,
 }
 
-/// What a lane has for one shard.
+/// What a piece of a scan has for one shard.
 #[derive(Debug, Default)]
 struct Bucket {
     /// The numbers of lines, one region after the other.
@@ -210,19 +223,26 @@ impl Lines {
     /// With given instructions.
     fn with(level: Level) -> Self {
         let buckets = || (0..SHARDS).map(|_| Bucket::default()).collect();
-        let lane = |_| Lane {
+        let piece = |_| Piece {
             buckets: buckets(),
             ..Default::default()
         };
         Self {
             level,
-            lanes: (0..LANES).map(lane).collect(),
+            pieces: (0..PIECES).map(piece).collect(),
         }
     }
 
-    /// Makes a line of each of some items, or tells why there is none, and updates their voxels. It is faster if items that
-    /// follow each other are neighbours. `ask` tells what it is made of, some items ahead, so that memory is asked for.
-    pub(crate) fn run<R: Rule>(
+    /// Makes a line of each of some items (or counts why there is none) and updates the voxels along it by a rule. It counts as one
+    /// integration. It is fastest if items that follow each other are neighbours ([`Placed::sorted`](super::Placed::sorted)).
+    ///
+    /// `ask` is called some items ahead of `make`, to prefetch what the line will be made of; `|_| ()` will do.
+    ///
+    /// Lines must be valid: an axis of unit length and a finite reach, as debug builds check.
+    ///
+    /// # Errors
+    /// There is no memory for a block; a part of the updates is made.
+    pub fn run<R: Rule>(
         &mut self,
         map: &mut VoxelMap,
         items: &[u32],
@@ -233,24 +253,25 @@ impl Lines {
         let start = Instant::now();
         let (stamp, limit) = map.begin_integration();
         let level = self.level;
-        self.lanes.par_iter_mut().enumerate().for_each(|(k, lane)| {
-            lane.clear();
-            let items = &items[items.len() * k / LANES..items.len() * (k + 1) / LANES];
+        self.pieces.par_iter_mut().enumerate().for_each(|(k, piece)| {
+            piece.clear();
+            let items = &items[items.len() * k / PIECES..items.len() * (k + 1) / PIECES];
             dispatch!(level, _ => for (k, &i) in items.iter().enumerate() {
                 if let Some(&later) = items.get(k + AHEAD) {
                     ask(later as usize);
                 }
                 let line = make(i as usize);
-                lane.counts.count(line.map(|_| ()));
+                piece.counts.count(line.map(|_| ()));
                 if let Ok(line) = line {
-                    lane.push(&line, R::SHAPE);
-                    lane.lines.push(line);
+                    debug_assert!(line.is_valid(), "{line:?}");
+                    piece.push(&line, R::SHAPE);
+                    piece.lines.push(line);
                 }
             });
         });
         let find_secs = start.elapsed().as_secs_f64();
         let touched = self.update(map, stamp, limit, rule)?;
-        let counts = self.lanes.iter().map(|lane| &lane.counts);
+        let counts = self.pieces.iter().map(|piece| &piece.counts);
         Ok(Counts::sum(touched, find_secs, counts))
     }
 
@@ -262,7 +283,7 @@ impl Lines {
         limit: u32,
         rule: &R,
     ) -> Result<Vec<BlockIndex>, OutOfMemory> {
-        let Self { level, lanes } = self;
+        let Self { level, pieces } = self;
         let shards = map.shards.par_iter_mut().enumerate();
         let touched: Result<Vec<Vec<BlockIndex>>, OutOfMemory> = shards
             .map(|(s, shard)| {
@@ -274,10 +295,10 @@ impl Lines {
                     queue: Queue::NEW,
                     full: Ok(()),
                 };
-                let runs = lanes.iter().flat_map(|lane| {
-                    let Bucket { numbers, runs } = &lane.buckets[s];
+                let runs = pieces.iter().flat_map(|piece| {
+                    let Bucket { numbers, runs } = &piece.buckets[s];
                     let starts = std::iter::once(0).chain(runs.iter().map(|run| run.1));
-                    let run = |(run, start): (&(IVec3, usize), usize)| (run.0, &lane.lines, &numbers[start..run.1]);
+                    let run = |(run, start): (&(IVec3, usize), usize)| (run.0, &piece.lines, &numbers[start..run.1]);
                     runs.iter().zip(starts).map(run)
                 });
                 for (index, lines, numbers) in runs {
@@ -298,7 +319,7 @@ impl Lines {
     }
 }
 
-impl Lane {
+impl Piece {
     fn clear(&mut self) {
         for bucket in &mut self.buckets {
             bucket.numbers.clear();
@@ -556,7 +577,7 @@ fn find<S: Simd, const M: usize, const U: usize, const W: usize>(
     m: &Places<S, M>,
     u: &Places<S, U>,
     w: &Places<S, W>,
-    rule_of_line: &impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>),
+    rule_of_line: &impl Fn(&EightVoxels<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>),
     queue: &mut Queue,
 ) {
     let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
@@ -567,7 +588,7 @@ fn find<S: Simd, const M: usize, const U: usize, const W: usize>(
     let [x, y, z] = xyz(m.offset, u.offset, w.offset);
     let [along_x, along_y, along_z] = xyz(m.along, u.along, w.along);
     let [x2, y2, z2] = xyz(m.square, u.square, w.square);
-    let voxels = Row {
+    let voxels = EightVoxels {
         x,
         y,
         z,
@@ -632,7 +653,7 @@ mod tests {
         for (x, y, z) in cube().flat_map(|x| cube().flat_map(move |y| cube().map(move |z| (x, y, z)))) {
             let v = IVec3::new(x, y, z).as_vec3() + 0.5 - line.center.fraction;
             let [x8, y8, z8] = v.to_array().map(|c| f32x8::splat(simd, c));
-            let (inside, distance, weight) = rule(&Row {
+            let (inside, distance, weight) = rule(&EightVoxels {
                 x: x8,
                 y: y8,
                 z: z8,

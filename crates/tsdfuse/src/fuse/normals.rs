@@ -14,8 +14,8 @@ use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
 use super::{
     FuseError, Integration, Integrator,
     beams::{Beams, rings_of},
-    cylinder::{Row, VOXEL_RADIUS},
-    gather::Skip,
+    cylinder::{EightVoxels, VOXEL_RADIUS},
+    engine::Skip,
     lines::{Line, Lines, Rule, Shape},
     placed::Placed,
 };
@@ -128,7 +128,7 @@ impl Rule for AlongNormal {
     const SHAPE: Shape = Shape::Cylinder;
 
     #[inline(always)]
-    fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+    fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&EightVoxels<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let truncation = line.reach;
         let (weight, inverse) = (f32x8::splat(simd, line.weight), 1.0 / truncation);
         #[inline(always)]

@@ -20,14 +20,14 @@ use super::{
     beams::Beams,
     carve::{Carver, Seen},
     centers::Centers,
-    cylinder::{Row, VOXEL_RADIUS},
+    cylinder::{EightVoxels, VOXEL_RADIUS},
     depth::world_axes,
-    gather::Skip,
+    engine::Skip,
     lines::{Line, Lines, Planes, Rule, Shape},
     placed::{Order, Placed},
 };
 use crate::{
-    map::{MapConfig, VoxelMap},
+    map::{MapConfig, OutOfMemory, VoxelMap},
     memory::prefetch,
     patch::{Limits, Patches, widest_gap_m},
     reach::Reach,
@@ -47,6 +47,9 @@ pub const FULL_BEHIND: f32 = 1.0;
 
 /// Patches between returns are this far apart, in voxels: lines of radius √3/2 still overlap.
 pub const STEP: f32 = 1.5;
+
+/// For so many bytes of the map's memory limit, there may be one patch between returns, which takes a third of that with its line.
+const LIMIT_PER_PATCH: usize = 512;
 
 /// Weight where there is no plane.
 pub const RAY_WEIGHT: f32 = 0.1;
@@ -148,10 +151,14 @@ impl Integrator for Patch {
             noise_m: self.config.noise_m,
             step_m: STEP * grid.voxel_size_m() as f32,
             max_gap_m: self.config.max_gap_m,
+            most: map.memory_limit() / LIMIT_PER_PATCH,
         };
         let column_rad = sensor.column_width_rad() as f32;
         self.patches
-            .update(image, &placed.points, &placed.origins, column_rad, &limits);
+            .update(image, &placed.points, &placed.origins, column_rad, &limits)
+            .ok_or(OutOfMemory::Limit {
+                limit_bytes: map.memory_limit(),
+            })?;
         let (returns, patches) = (placed.len(), &self.patches.all);
         self.order.sort(grid, anchor, patches.len(), |i| patches[i].center);
         let prepare_secs = start.elapsed().as_secs_f64();
@@ -225,7 +232,7 @@ impl Rule for AlongPatch {
     const PLANES: Planes = Planes::Four;
 
     #[inline(always)]
-    fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+    fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&EightVoxels<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let (inverse, weight) = (1.0 / self.truncation, line.weight);
         let front = line.reach;
         let behind = front * (BEHIND / FRONT);

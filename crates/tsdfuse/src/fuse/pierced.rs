@@ -3,7 +3,7 @@
 use fearless_simd::{Simd, mask32x8, prelude::*};
 use glam::{IVec3, Vec3, Vec3A};
 
-use super::cylinder::Row;
+use super::cylinder::EightVoxels;
 use crate::index::{BLOCK_EDGE, BlockIndex, GridPoint, round};
 
 /// A line through `center` along the unit vector `axis`, of which the part within `half_length` voxels of `center` counts.
@@ -20,7 +20,7 @@ const STILL: f32 = 1e-6;
 /// Those of eight voxels that a line along `axis` passes through. Seen along each edge of a voxel, the line must run within
 /// the square that the voxel shows (the axes that can separate a line from a box); on the border, it belongs to one side.
 #[inline(always)]
-pub(crate) fn pierced<S: Simd>(axis: Vec3, row: &Row<S>) -> mask32x8<S> {
+pub(crate) fn pierced<S: Simd>(axis: Vec3, row: &EightVoxels<S>) -> mask32x8<S> {
     let Vec3 { x: ax, y: ay, z: az } = axis;
     let half = |j: f32, k: f32| (0.5 * (j.abs() + k.abs())).max(STILL);
     let (x, y, z) = (row.x, row.y, row.z);

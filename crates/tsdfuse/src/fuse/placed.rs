@@ -9,15 +9,16 @@ use crate::{
     scan::Scan,
 };
 
-/// The returns of one scan in world axes, relative to the scan's anchor (the sensor's position at the scan's pose), metres.
+/// The returns of one scan, with motion undone: in world axes, relative to the scan's anchor (the sensor's position at the scan's pose),
+/// metres. Keep it from scan to scan: it keeps its buffers.
 #[derive(Debug, Default)]
-pub(crate) struct Placed {
+pub struct Placed {
     anchor: Option<Anchor>,
     /// End of each ray.
     pub(crate) points: Vec<Vec3>,
     /// Start of each ray; empty if all start at the anchor.
     pub(crate) origins: Vec<Vec3>,
-    /// The order of all returns; once they are sorted.
+    /// The order of all returns, once they are sorted.
     pub(crate) order: Order,
 }
 
@@ -28,15 +29,15 @@ pub(crate) struct Order {
     cells: Vec<u16>,
 }
 
-/// One return as the methods see it.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Ray {
+/// One return as the methods see it: the ray that was measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredRay {
     /// Where the ray ended.
-    pub(crate) end: GridPoint,
+    pub end: GridPoint,
     /// Unit vector from the sensor to the return, world axes.
-    pub(crate) direction: Vec3,
-    /// Distance from the sensor.
-    pub(crate) range_m: f32,
+    pub direction: Vec3,
+    /// Distance from the sensor, at the time of the return.
+    pub range_m: f32,
 }
 
 /// Regions that a scan is sorted into, and cells of all of them.
@@ -44,8 +45,11 @@ const REGIONS: i32 = 1 << 7;
 const CELLS: usize = (REGIONS as usize) << 6;
 
 impl Placed {
-    /// Places all returns of a scan, reusing this buffer; tells where the scan is anchored.
-    pub(crate) fn place(&mut self, grid: Grid, scan: &Scan) -> Result<Anchor, FuseError> {
+    /// Places all returns of a scan in a grid, in place of those that were there, and returns the scan's anchor.
+    ///
+    /// # Errors
+    /// [`FuseError`] if the scan contradicts itself or its sensor is outside of the grid.
+    pub fn place(&mut self, grid: Grid, scan: &Scan) -> Result<Anchor, FuseError> {
         scan.check()?;
         let pose = scan.world_from_sensor()?;
         let position = pose.translation;
@@ -74,33 +78,48 @@ impl Placed {
         Ok(anchor)
     }
 
-    /// Orders the placed returns.
-    pub(crate) fn sort(&mut self, grid: Grid) {
+    /// Sorts the placed returns, for [`Self::sorted`].
+    pub fn sort(&mut self, grid: Grid) {
         if let Some(anchor) = self.anchor {
             let points = &self.points;
             self.order.sort(grid, anchor, points.len(), |i| points[i]);
         }
     }
 
+    /// The numbers of all returns, neighbours in the world mostly one after the other; after [`Self::sort`].
+    pub fn sorted(&self) -> &[u32] {
+        &self.order.numbers
+    }
+
+    /// The returns' positions.
+    pub fn points(&self) -> &[Vec3] {
+        &self.points
+    }
+
     /// Where the scan is anchored, once returns are placed.
-    pub(crate) fn anchor(&self) -> Option<Anchor> {
+    pub fn anchor(&self) -> Option<Anchor> {
         self.anchor
     }
 
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+
     /// The number of returns.
-    pub(crate) fn len(&self) -> usize {
+    pub fn len(&self) -> usize {
         self.points.len()
     }
 
-    /// Where a ray started.
+    /// The sensor's position when it measured a return.
     #[inline(always)]
-    pub(crate) fn origin(&self, i: usize) -> Vec3 {
+    pub fn origin(&self, i: usize) -> Vec3 {
         self.origins.get(i).copied().unwrap_or(Vec3::ZERO)
     }
 
-    /// One return; `None` if it is invalid or outside the grid.
+    /// The ray of one return; `None` if it is invalid or outside the grid.
     #[inline(always)]
-    pub(crate) fn ray(&self, i: usize) -> Option<Ray> {
+    pub fn ray(&self, i: usize) -> Option<MeasuredRay> {
         let point = self.points[i];
         let along = point - self.origin(i);
         let range_m = along.length();
@@ -109,7 +128,7 @@ impl Placed {
             return None;
         }
         let end = self.anchor?.locate(point)?;
-        Some(Ray {
+        Some(MeasuredRay {
             end,
             direction: along / range_m,
             range_m,

@@ -21,8 +21,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     FuseError, Integration, Integrator,
-    cylinder::{Row, VOXEL_RADIUS},
-    gather::Skip,
+    cylinder::{EightVoxels, VOXEL_RADIUS},
+    engine::Skip,
     lines::{Line, Lines, Rule, Shape},
     pierced::pierced,
     placed::Placed,
@@ -132,7 +132,7 @@ impl Rule for Euclidean {
     const SHAPE: Shape = Shape::RoundedCylinder;
 
     #[inline(always)]
-    fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+    fn of<S: Simd>(&self, simd: S, line: &Line) -> impl Fn(&EightVoxels<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let (truncation, inverse) = (line.reach, 1.0 / line.reach);
         let weight = f32x8::splat(simd, line.weight);
         #[inline(always)]
@@ -151,7 +151,7 @@ impl Rule for Projective {
     const SHAPE: Shape = Shape::Pierced;
 
     #[inline(always)]
-    fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&Row<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
+    fn of<S: Simd>(&self, _: S, line: &Line) -> impl Fn(&EightVoxels<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let (truncation, inverse) = (line.reach, 1.0 / line.reach);
         // Fully known down to 1.5 voxels behind the surface, enough for the noise of ranges to cancel, or half the band.
         let slope = 1.0 / (truncation - (0.5 * truncation).min(1.5));

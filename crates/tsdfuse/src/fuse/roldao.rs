@@ -140,7 +140,11 @@ impl Roldao {
 
     /// Updates the map with the planes fitted to the points in the cells.
     fn write(&mut self, map: &mut VoxelMap) -> Result<Integration, OutOfMemory> {
-        let adaptive = Adaptive::new(&self.config, map.config());
+        let adaptive = Adaptive::new(
+            (self.config.min_points, self.config.max_level),
+            (self.config.min_spread_m, self.config.min_density),
+            map.config(),
+        );
         let blocks = self.cells.blocks();
         let reach = self.config.max_level as i32;
         let name = |i: usize, near: &mut Near<u32>| {

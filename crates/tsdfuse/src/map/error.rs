@@ -6,7 +6,7 @@ use super::block::{Block, MAX_WEIGHT, Voxel};
 use crate::{index::BlockIndex, memory::OutOfMemory};
 
 /// Blocks farther out are refused by [`VoxelMap::insert_block`]: ±107 000 km at 5 cm.
-const MAX_BLOCK: u32 = (1 << 28) - 2;
+pub(super) const MAX_BLOCK: u32 = (1 << 28) - 2;
 
 /// Why a map cannot be made or changed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

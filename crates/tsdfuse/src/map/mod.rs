@@ -8,6 +8,7 @@
 //! | `voxel_map` | [`VoxelMap`] itself |
 //! | `region` | regions of blocks, taken out of a map and put in again |
 //! | `sample`, `observed`, `dense` | queries: the field at points, all that was observed, a box as arrays |
+//! | `update` | single voxels, for methods that do not need speed |
 //! | `merge`, `crop`, `warp` | maps made of maps |
 
 mod block;
@@ -21,6 +22,7 @@ mod recent;
 mod region;
 mod sample;
 mod shard;
+mod update;
 mod voxel_map;
 mod warp;
 
@@ -34,4 +36,5 @@ pub use observed::{ObservedBlock, ObservedVoxel};
 pub use region::{BlockPool, RegionBlocks};
 pub use sample::Sample;
 pub(crate) use shard::{NO_SLOT, Shard};
+pub use update::{Updated, VoxelUpdate};
 pub use voxel_map::VoxelMap;

@@ -46,9 +46,9 @@ impl VoxelMap {
     /// All voxels that were observed, block by block, in an order that does not depend on how the map was made.
     ///
     /// ```
-    /// use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3};
+    /// use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3};
     /// let mut map = VoxelMap::new(MapConfig::default())?;
-    /// Raycast::default().integrate(&mut map, &Scan { points: vec![Vec3::new(4.0, 0.0, 0.0)], ..Default::default() })?;
+    /// Raycast::default().integrate(&mut map, &Scan { points: vec![Vec3::new(4.0, 0.0, 0.0)], pose: Some(Pose::IDENTITY), ..Default::default() })?;
     /// assert_eq!(map.voxels().count(), map.observed_voxel_count());
     /// assert!(map.voxels().all(|v| (v.center.x - 4.0).abs() < 0.25 && v.distance_m.abs() <= 0.2));
     /// # Ok::<(), Box<dyn std::error::Error>>(())

@@ -45,10 +45,10 @@ impl VoxelMap {
     /// For many points, [`Self::sample_all`] is faster.
     ///
     /// ```
-    /// use tsdfuse::{Integrator, MapConfig, Patch, Scan, VoxelMap, glam::{DVec3, Vec3}};
+    /// use tsdfuse::{Integrator, MapConfig, Patch, Pose, Scan, VoxelMap, glam::{DVec3, Vec3}};
     /// # let wall = (-30..30).flat_map(|y| (-20..20).map(move |z| Vec3::new(4.02, 0.03 * y as f32, 0.03 * z as f32)));
     /// let mut map = VoxelMap::new(MapConfig::default())?;
-    /// Patch::default().integrate(&mut map, &Scan { points: wall.collect(), ..Default::default() })?; // a wall at x = 4.02 m
+    /// Patch::default().integrate(&mut map, &Scan { points: wall.collect(), pose: Some(Pose::IDENTITY), ..Default::default() })?; // a wall at x = 4.02 m
     ///
     /// let here = map.sample(DVec3::new(4.0, 0.1, 0.1)).ok_or("nothing is known here")?;
     /// assert!((here.distance_m - 0.02).abs() < 0.003); // 2 cm in front of the wall

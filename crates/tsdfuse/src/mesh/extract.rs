@@ -34,11 +34,11 @@ pub(super) const BLOCKS_PER_TASK: usize = 64;
 /// [`MeshError::TooManyVertices`] beyond 2³² vertices.
 ///
 /// ```
-/// use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3};
+/// use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3};
 /// // A wall one metre ahead, seen by a fan of rays.
 /// let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(1.0, 0.02 * y as f32, 0.02 * z as f32)));
 /// let mut map = VoxelMap::new(MapConfig::default())?;
-/// Raycast::default().integrate(&mut map, &Scan { points: points.collect(), ..Default::default() })?;
+/// Raycast::default().integrate(&mut map, &Scan { points: points.collect(), pose: Some(Pose::IDENTITY), ..Default::default() })?;
 /// let mesh = tsdfuse::mesh::extract(&map)?;
 /// assert!(mesh.vertices.iter().all(|v| (v.x - 1.0).abs() < 0.03));
 /// # Ok::<(), Box<dyn std::error::Error>>(())

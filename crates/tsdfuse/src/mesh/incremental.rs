@@ -33,12 +33,12 @@ use crate::{
 /// Tell it of every integration ([`Incremental::note`]), and ask as often as you like: after each scan, once a second, at the end.
 ///
 /// ```
-/// use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3, mesh::{Changes, Incremental}};
+/// use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3, mesh::{Changes, Incremental}};
 /// let mut map = VoxelMap::new(MapConfig::default())?;
 /// let (mut raycast, mut surface, mut changes) = (Raycast::default(), Incremental::default(), Changes::default());
 /// for x in [1.0, 1.5] {
 ///     let points = (-20..=20).flat_map(|y| (-20..=20).map(move |z| Vec3::new(x, 0.02 * y as f32, 0.02 * z as f32)));
-///     let scan = Scan { points: points.collect(), ..Default::default() };
+///     let scan = Scan { points: points.collect(), pose: Some(Pose::IDENTITY), ..Default::default() };
 ///     surface.note(&raycast.integrate(&mut map, &scan)?.updated_blocks);
 ///     surface.changes(&map, &mut changes);
 ///     for piece in changes.iter() {

@@ -61,9 +61,10 @@ impl MeshConfig {
     /// # Errors
     /// [`MeshError`] names the field and its value.
     pub fn validate(&self) -> Result<(), MeshError> {
-        match self.min_weight >= 0.0 && self.min_weight.is_finite() {
-            true => Ok(()),
-            false => Err(MeshError::MinWeight(self.min_weight)),
+        if self.min_weight >= 0.0 && self.min_weight.is_finite() {
+            Ok(())
+        } else {
+            Err(MeshError::MinWeight(self.min_weight))
         }
     }
 

@@ -122,12 +122,13 @@ fn random_map(seed: u64, config: MapConfig) -> VoxelMap {
                 0 => (bits >> 8 & 7) as i32 - 3,
                 _ => (v.x + 2 * v.y - v.z).clamp(-3, 3) * 100 + (bits & 63) as i32,
             };
-            *voxel = match bits.is_multiple_of(8) && kind != 1 {
-                true => Voxel::default(),
-                false => Voxel {
+            *voxel = if bits.is_multiple_of(8) && kind != 1 {
+                Voxel::default()
+            } else {
+                Voxel {
                     weight_sum: 400 + (bits >> 12 & 0xfff),
                     distance_sum: distance,
-                },
+                }
             };
         }
         map.insert_block(index, block).unwrap();

@@ -1,7 +1,7 @@
 //! The surface of a map, cube by cube. Only the blocks in and around one cube have to be in memory at a time.
 //!
-//! A cube is meshed together with one layer of blocks around it, so that its blocks find their neighbours. The first corner of
-//! a cell decides which cube the cell belongs to.
+//! A cube is meshed together with one layer of blocks around it, so that its blocks find their neighbours. The first
+//! corner of a cell decides which cube the cell belongs to.
 //!
 //! ```
 //! use tsdfuse::{Integrator, MapConfig, Raycast, Scan, VoxelMap, glam::Vec3, mesh};
@@ -132,8 +132,8 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// Whether a vertex lies on one of the planes through the centres of voxels 0, ±n, ±2n, …, for n a power of two. At these planes the cells
-/// of blocks that begin there meet the cells of the blocks before.
+/// Whether a vertex lies on one of the planes through the centres of voxels 0, ±n, ±2n, …, for n a power of two. At
+/// these planes the cells of blocks that begin there meet the cells of the blocks before.
 pub fn is_on_plane(grid: Grid, vertex: DVec3, n: i64) -> bool {
     /// Less than the distance that vertices keep from voxel centres, more than the rounding error.
     const SLACK: f64 = 1e-4;

@@ -77,8 +77,8 @@ pub trait MeshSink {
     fn triangles(&mut self, triangles: &[[u32; 3]]) -> io::Result<()>;
 }
 
-/// Sends a surface to `sink` as one mesh, which is never whole in memory. It is the mesh of [`super::extract_with`], with its vertices and
-/// triangles in another order.
+/// Sends a surface to `sink` as one mesh, which is never whole in memory. It is the mesh of [`super::extract_with`],
+/// with its vertices and triangles in another order.
 ///
 /// # Errors
 /// As [`Surface::pieces`] and `sink`; also for more than 2³² vertices.

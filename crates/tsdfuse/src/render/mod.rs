@@ -5,7 +5,7 @@
 //! use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3, sensor::Pinhole};
 //! # let wall = (-30..30).flat_map(|y| (-20..20).map(move |z| Vec3::new(4.0, 0.03 * y as f32, 0.03 * z as f32)));
 //! # let mut map = VoxelMap::new(MapConfig::default())?;
-//! # Raycast::default().integrate(&mut map, &Scan { points: wall.collect(), ..Default::default() })?;
+//! # Raycast::default().integrate(&mut map, &Scan { points: wall.collect(), pose: Some(Pose::IDENTITY), ..Default::default() })?;
 //!
 //! let renderer = Renderer::new(&map, &Default::default())?; // once for any number of views
 //! let camera = Camera::Pinhole(Pinhole::with_fov(64, 48, 0.2));
@@ -41,6 +41,7 @@ pub use camera::{Camera, Rays};
 pub use cast::Ray;
 pub use config::{RenderConfig, RenderError};
 pub use image::{DEPTH_PER_M, Image, ImageKind, Pixels, WEIGHT_RANGE};
+pub(crate) use image::{normal_color, viridis};
 pub use orbit::{overview, turntable};
 pub use renderer::{Renderer, render};
 pub use view::{Hit, View};

@@ -39,10 +39,8 @@ impl View {
 
     /// What a pixel sees; `None` also outside of the image.
     pub fn hit(&self, column: usize, row: usize) -> Option<&Hit> {
-        match column < self.width {
-            true => self.hits.get(row * self.width + column)?.as_ref(),
-            false => None,
-        }
+        let column = (column < self.width).then_some(column)?;
+        self.hits.get(row * self.width + column)?.as_ref()
     }
 
     /// How many pixels see surface.

@@ -25,7 +25,7 @@ use super::pinhole::whole;
 
 /// A cylindrical image of w columns and h rows.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Cylindrical {
+pub struct CylindricalProjection {
     rows: usize,
     /// Tangent of the elevation of row 0.
     top: f32,
@@ -39,7 +39,7 @@ pub struct Cylindrical {
     towards: Vec<Vec2>,
 }
 
-/// Where a point is seen in a [`Cylindrical`] image.
+/// Where a point is seen in a [`CylindricalProjection`] image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CylindricalPoint {
     /// In [−½, columns − ½).
@@ -50,7 +50,7 @@ pub struct CylindricalPoint {
     pub depth_m: f32,
 }
 
-impl Cylindrical {
+impl CylindricalProjection {
     /// The image of a sensor whose [`SensorModel::check`] passes, with rows up to `margin` beyond its outermost beams (as a
     /// tangent).
     pub fn new(model: &SensorModel, center_z_m: f32, phase: f32, margin: f32) -> Self {
@@ -196,7 +196,7 @@ impl Cylindrical {
     }
 }
 
-impl Cylindrical {
+impl CylindricalProjection {
     /// [`Self::pixel`] for eight points: whether they are inside, and the numbers of their pixels, column by column (0 outside).
     #[inline(always)]
     pub(crate) fn pixels<S: Simd>(
@@ -226,9 +226,9 @@ mod tests {
     use crate::sensor::{model, names};
     use proptest::prelude::*;
 
-    fn any_image() -> impl Strategy<Value = Cylindrical> {
+    fn any_image() -> impl Strategy<Value = CylindricalProjection> {
         (prop::sample::select(names()), -0.3..0.3f32, -0.5..0.5f32, 0.0..0.1f32)
-            .prop_map(|(name, z, phase, margin)| Cylindrical::new(&model(name).unwrap(), z, phase, margin))
+            .prop_map(|(name, z, phase, margin)| CylindricalProjection::new(&model(name).unwrap(), z, phase, margin))
     }
 
     proptest! {
@@ -269,7 +269,7 @@ mod tests {
     #[test]
     fn pixels_are_square_and_rows_go_from_the_highest_to_the_lowest_beam() {
         let pandar = model("pandar64").unwrap();
-        let image = Cylindrical::new(&pandar, 0.0, 0.0, 0.0);
+        let image = CylindricalProjection::new(&pandar, 0.0, 0.0, 0.0);
         let tan = |ring: usize| pandar.elevations_deg[ring].to_radians().tan();
         let rows = 1 + ((tan(63) - tan(0)) * 1800.0 / TAU).round() as usize;
         assert_eq!((image.columns(), image.rows()), (1800, rows));
@@ -282,7 +282,7 @@ mod tests {
 
     #[test]
     fn points_without_a_place_have_no_pixel() {
-        let image = Cylindrical::new(&model("vlp16").unwrap(), 0.0, 0.0, 0.0);
+        let image = CylindricalProjection::new(&model("vlp16").unwrap(), 0.0, 0.0, 0.0);
         for p in [
             Vec3::ZERO,
             Vec3::Z,

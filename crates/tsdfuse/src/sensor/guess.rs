@@ -4,8 +4,8 @@ use glam::Vec3;
 
 use super::approx::atan2_f32;
 use super::order::rings_by_order;
-use super::recovery::{NO_RING, RingRecovery, Sight, median};
-use super::rings::{Beams, CLEAR, median_elevations, recover_rings, sample};
+use super::recovery::recover_rings;
+use super::rings::{Beams, CLEAR, NO_RING, RingRecovery, Sight, median, median_elevations, sample};
 use super::{MAX_BEAMS, MAX_COLUMNS, SensorModel, model, names};
 
 /// How many returns are enough to tell which known sensor it was.

@@ -6,7 +6,7 @@
 use glam::Vec3;
 
 use super::approx::atan2_f32;
-use super::recovery::{NO_RING, RingRecovery, RingSource, Sight, median};
+use super::rings::{NO_RING, RingRecovery, RingSource, Sight, median};
 use super::{MAX_BEAMS, SensorModel};
 
 /// Steps against the sweep of up to this part of a turn are jitter; larger ones are a new turn.

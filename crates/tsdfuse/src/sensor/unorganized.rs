@@ -51,9 +51,12 @@ pub(crate) fn grid_of(points: &[Vec3]) -> Option<(SensorModel, Vec<u16>)> {
     let elevations_deg = (0..=gaps as usize).map(|k| (low + gap * k as f32).to_degrees());
     let columns = ((TAU / cell) as u32).clamp(4, MAX_COLUMNS);
     let model = SensorModel::from_beams("grid", elevations_deg.collect(), columns, (0.0, f32::MAX)).ok()?;
-    let row = |e: &f32| match e.is_nan() {
-        true => NO_RING,
-        false => ((e.clamp(low, high) - low) / gap + 0.5) as u16,
+    let row = |e: &f32| {
+        if e.is_nan() {
+            NO_RING
+        } else {
+            ((e.clamp(low, high) - low) / gap + 0.5) as u16
+        }
     };
     Some((model, elevations.iter().map(row).collect()))
 }

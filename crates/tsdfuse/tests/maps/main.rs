@@ -5,6 +5,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod crop;
+mod memory;
 mod query;
 mod memory;
 mod reach;

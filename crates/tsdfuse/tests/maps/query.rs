@@ -3,7 +3,7 @@
 
 use proptest::prelude::*;
 use tsdfuse::{
-    Integrator, MapConfig, Patch, Scan, VoxelMap,
+    Integrator, MapConfig, Patch, Pose, Scan, VoxelMap,
     glam::{DVec3, IVec3, Vec3},
     index::{BlockIndex, voxel_at},
     map::{Block, MapError, Sample, Voxel, WEIGHT_SCALE},
@@ -217,6 +217,7 @@ fn a_fused_wall_is_where_it_is() {
     let wall = (-40..40).flat_map(|y| (-30..30).map(move |z| Vec3::new(4.02, 0.03 * y as f32, 0.03 * z as f32)));
     let scan = Scan {
         points: wall.collect(),
+        pose: Some(Pose::IDENTITY),
         ..Default::default()
     };
     let mut map = VoxelMap::new(MapConfig::default()).unwrap();

@@ -1,8 +1,8 @@
 //! What a scan can touch, before it is fused.
 
 use tsdfuse::{
-    MapConfig, Pose, Scan, VoxelMap,
-    fuse::{FuseConfig, Method},
+    Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap,
+    fuse::{FuseConfig, Method, RoldaoForm},
     glam::{DQuat, DVec3, IVec3, Vec3},
     index::RegionIndex,
     scan::PoseAt,
@@ -28,12 +28,19 @@ fn scan() -> Scan {
     }
 }
 
+/// The default options, with which all methods fuse scan by scan.
+fn scan_by_scan() -> FuseConfig {
+    let mut config = FuseConfig::default();
+    config.roldao.form = RoldaoForm::Streaming;
+    config
+}
+
 #[test]
 fn all_that_is_updated_lies_within_reach_and_little_else() {
     let scan = scan();
     for method in [Method::Raycast, Method::Surfels, Method::Roldao] {
         let mut map = VoxelMap::new(MapConfig::default()).unwrap();
-        let mut integrator = method.build(&FuseConfig::default(), None);
+        let mut integrator = method.build(&scan_by_scan(), None);
         let reach = integrator.reach(map.config(), &scan).unwrap();
         let done = integrator.integrate(&mut map, &scan).unwrap();
         assert!(!done.updated_blocks.is_empty(), "{method:?}");
@@ -119,7 +126,7 @@ fn all_poses_of_a_sweep_count() {
     };
     scan.motion = vec![at(0.025, 10.0), at(0.05, 20.0), at(0.075, 10.0), at(0.1, 0.0)];
     let mut map = VoxelMap::new(MapConfig::default()).unwrap();
-    let mut raycast = Method::Raycast.build(&FuseConfig::default(), None);
+    let mut raycast = Raycast::default();
     let reach = raycast.reach(map.config(), &scan).unwrap();
     let done = raycast.integrate(&mut map, &scan).unwrap();
     let grid = map.grid();

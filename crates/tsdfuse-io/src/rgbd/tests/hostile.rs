@@ -314,7 +314,7 @@ fn lists_and_trajectories_that_do_not_fit() {
 fn no_lidar_is_asked_for() {
     let folder = Folder::seven_scenes();
     let options = OpenOptions {
-        sensor: Some("vlp16".to_owned()),
+        sensors: vec!["vlp16".to_owned()],
         ..Default::default()
     };
     let told = open_with(folder.path(), &options).unwrap_err().to_string();

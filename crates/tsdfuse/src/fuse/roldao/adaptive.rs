@@ -5,7 +5,6 @@ use std::{array, cell::RefCell};
 use glam::DVec3;
 
 use super::{
-    RoldaoConfig,
     cells::CellBlock,
     near::{Around, Rows, Sums},
     plane::{LANES, Limits, Neighbourhoods},
@@ -39,14 +38,19 @@ thread_local! {
 }
 
 impl Adaptive {
-    pub(super) fn new(config: &RoldaoConfig, map: &MapConfig) -> Self {
+    /// Neighbourhoods of `min_points` or more in `max_level` levels; `min_spread_m` and `min_density` as in `RoldaoConfig`.
+    pub(super) fn new(
+        (min_points, max_level): (u32, usize),
+        (min_spread_m, min_density): (f64, f64),
+        map: &MapConfig,
+    ) -> Self {
         Self {
-            min_points: config.min_points,
-            max_level: config.max_level,
+            min_points,
+            max_level,
             truncation_vox: map.truncation_vox(),
             limits: Limits {
-                min_density: config.min_density as f32,
-                min_spread: ((config.min_spread_m / map.voxel_size_m) as f32).max(LEAST_SPREAD),
+                min_density: min_density as f32,
+                min_spread: ((min_spread_m / map.voxel_size_m) as f32).max(LEAST_SPREAD),
             },
         }
     }
