@@ -118,12 +118,13 @@ fn work(what: &str, folder: &Path) -> Result<()> {
     println!("{}", vectors.split('(').next().unwrap_or_default().to_uppercase());
     // The mesh is that of the map of the first method.
     let form = FORMS.iter().find(|form| form.name == what).unwrap_or(&FORMS[0]);
-    let dataset = tsdfuse_io::open(folder)?;
+    let log = tsdfuse_io::open(folder)?;
+    let scans = log.scans().len();
     let (mut integrator, mut map) = form.start(&sensor()?)?;
-    for number in 0..dataset.len() {
-        let mut scan = dataset.read(number)?;
+    for number in 0..scans {
+        let mut scan = log.read(number)?;
         scan.camera = form.wants_depth().then(camera);
-        if what != MESH && number + 1 == dataset.len() {
+        if what != MESH && number + 1 == scans {
             measured(|| integrator.integrate(&mut map, &scan))?;
         } else {
             integrator.integrate(&mut map, &scan)?;

@@ -10,7 +10,7 @@ use anyhow::Result;
 use common::{FORMS, Form, depth_images, sensor, street};
 use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, Criterion, SamplingMode, Throughput};
-use glam::Vec3;
+use tsdfuse::glam::Vec3;
 use tsdfuse::normals::{Estimator, NormalsConfig, estimate};
 use tsdfuse::sensor::ScanImage;
 use tsdfuse::{Integration, Integrator, Scan, SensorModel, VoxelMap, mesh};
@@ -74,8 +74,8 @@ fn raycasting(criterion: &mut Criterion, sensor: &SensorModel, sweeps: &[Scan]) 
 
 /// Normals of one sweep, and the image of neighbours they come from.
 fn normals(criterion: &mut Criterion, sensor: &SensorModel, sweep: &Scan) {
-    let Some(rings) = &sweep.rings else { return };
-    let rotation = sweep.pose.rotation.as_quat();
+    let (Some(rings), Some(pose)) = (&sweep.rings, sweep.pose) else { return };
+    let rotation = pose.rotation.as_quat();
     let points: Vec<Vec3> = sweep.points.iter().map(|p| rotation * *p).collect();
     let mut image = ScanImage::new();
     let mut group = series(criterion, "normals");

@@ -1,4 +1,4 @@
-//! What voxels of four bytes would err: `cargo run --release -p tsdfuse-cli --example four_byte_voxels -- DATASET`.
+//! What voxels of four bytes would err: `cargo run --release -p tsdfuse-cli --example four_byte_voxels -- LOG`.
 //!
 //! Fuses with raycasting, and after each scan adds what it changed to smaller voxels of several forms, too, once a voxel. In the end the
 //! smaller ones are compared with those of the map. What is found is written up in docs/voxels.md.
@@ -12,7 +12,6 @@ use rayon::prelude::*;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::map::{Block, Voxel, WEIGHT_SCALE};
 use tsdfuse::mesh::MeshConfig;
-use tsdfuse::scan::RangeLimits;
 use tsdfuse::{Integrator, MapConfig, Raycast, VoxelMap};
 
 /// A form of four bytes.
@@ -80,14 +79,13 @@ impl Form {
 type Smalls = Vec<Small>;
 
 fn main() -> Result<()> {
-    let path = std::env::args().nth(1).context("a data set is wanted")?;
-    let dataset = tsdfuse_io::open(&path)?;
+    let path = std::env::args().nth(1).context("a log is wanted")?;
+    let log = tsdfuse_io::open(&path)?;
     let mut map = VoxelMap::new(MapConfig::default())?;
     let mut fuser = Raycast::default();
     let mut small: HashMap<BlockIndex, Smalls> = HashMap::new();
-    for scan in &dataset {
-        let mut scan = scan?;
-        scan.drop_invalid(&RangeLimits::default());
+    for scan in &log {
+        let scan = scan?;
         let before = map.clone();
         for index in fuser.integrate(&mut map, &scan)?.updated_blocks {
             small
@@ -102,7 +100,7 @@ fn main() -> Result<()> {
     }
 
     let truncation_mm = 1e3 * map.config().truncation_m;
-    println!("{path}: {} scans, {} blocks\n", dataset.len(), map.block_count());
+    println!("{path}: {} scans, {} blocks\n", log.scans().len(), map.block_count());
     println!("| | RMS mm | 99.9 % mm | largest mm | other side | lost |");
     println!("|---|---|---|---|---|---|");
     for (number, form) in FORMS.iter().enumerate() {

@@ -1,138 +1,163 @@
 //! `tsdfuse bench`: what each stage takes on this machine, and how far that is from what its memory allows.
 
-mod args;
-mod changes;
-#[cfg(feature = "gpu")]
-mod gpu;
-mod limits;
-mod long_drive;
-mod method;
-mod run;
-mod street;
-mod table;
+use std::path::Path;
 
 use anyhow::Result;
-use serde::Serialize;
-use tempfile::TempDir;
+use tsdfuse_evaluate::Form;
+use tsdfuse_evaluate::bench::{Bench, LongDrive, STREET};
+use tsdfuse_run::Device;
 
-pub(crate) use args::Args;
+use crate::args::{LogArgs, Memory};
+use crate::exit::{Outcome, Usage};
+use crate::measuring::{Bars, told};
+use crate::output::{command_line, print, print_json};
 
-use crate::config::Suggested;
-use crate::device::Device;
-#[cfg(not(feature = "gpu"))]
-use crate::device::gpu; // says that there is none
-use crate::exit::{Outcome, one_line};
-use crate::machine::Machine;
-use crate::progress;
-use crate::report::{SkippedScan, command_line, print, print_json};
-use crate::settings::Settings;
-use limits::Limits;
-use method::Method;
+const EXAMPLES: &str = "\
+A run is what `tsdfuse fuse` does, from files to a mesh in a temporary file. Threads that fuse and threads that read ahead share \
+the cores. Beside each method stands what memory allows on as many threads, measured just before.
 
-/// Everything.
-#[derive(Debug, Serialize)]
-struct Results {
-    /// The program's version.
-    version: &'static str,
-    command_line: Vec<String>,
-    machine: Machine,
-    dataset: Data,
-    limits: Limits,
-    methods: Vec<Method>,
-    /// Methods that could not be used on these data, with the reason.
-    failed: Vec<SkippedScan>,
-}
+Examples:
+  tsdfuse bench
+  tsdfuse bench pandaset/002 --methods raycast,raycast-projective,normals
+  tsdfuse bench --threads 1 --json
+  tsdfuse bench --long-drive 10000
+  tsdfuse bench --long-drive 16000 --memory 512M
+  tsdfuse bench --device gpu --methods raycast,patch";
 
-/// What was fused.
-#[derive(Debug, Serialize)]
-struct Data {
-    name: String,
-    format: &'static str,
-    /// Scans that were asked for.
-    scans: usize,
+/// Measure this machine: seconds of each stage, and how close to the memory's limit.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES, mut_arg("log", |log| log.required(false).default_value(STREET)
+    .hide_default_value(true).help(format!("The log [default: {STREET}, the same everywhere]"))))]
+pub(crate) struct Args {
+    #[arg(long, visible_alias = "method", value_name = "NAMES", value_delimiter = ',',
+        help = format!("Which methods: all, or some of {} [default: as with fuse]", Form::names().join(", ")))]
+    methods: Vec<String>,
+    /// Runs of each method.
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    runs: u32,
+    /// Print the results as JSON instead of tables.
+    #[arg(long)]
+    json: bool,
+    /// Drive on and on through a simulated street instead, N scans of a VLP-16, and tell whether a scan takes longer as the map
+    /// grows. Voxels are of 12.5 cm unless --voxel-size or --set says otherwise.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(20..=1_000_000))]
+    long_drive: Option<u32>,
+    /// Drive with no more blocks of the map in memory than this; then extract the surface of all of it, and tell how much file it takes.
+    #[arg(long, value_name = "SIZE", requires = "long_drive")]
+    memory: Option<Memory>,
+    /// What is measured; of a GPU, fusing, meshing, rendering and each kernel.
+    #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
+    device: Device,
+    #[command(flatten)]
+    log: LogArgs,
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
-    args.check()?;
-    args.settings.set_threads()?;
+    let bench = args.bench()?;
+    args.check(&bench.forms)?;
+    args.log.set_threads()?;
+    let mut bars = Bars::default();
+    let watch = &mut |progress: tsdfuse_evaluate::Progress<'_>| bars.show(progress);
     if let Device::Gpu(name) = &args.device {
-        return gpu::run(args, name.as_deref());
+        return gpu::run(&bench, name.as_deref(), args.json, watch);
     }
-    match args.long_drive {
-        Some(scans) => long_drive::run(args, scans as usize),
-        None => compare(args),
-    }
-}
-
-fn compare(args: &Args) -> Result<Outcome> {
-    let (settings, _simulated) = settings(args)?;
-    let dataset = settings.open()?;
-    let indices = settings.indices(dataset.len())?;
-    let methods = args.methods(&Suggested::by(&dataset))?;
-    let spinner = progress::working("measuring memory");
-    let limits = Limits::measure();
-    drop(spinner);
-
-    let mut failed = Vec::new();
-    let mut first_error = None;
-    let mut measured: Vec<Method> = Vec::new();
-    for mut method in methods {
-        // The first run tells whether the method can be used at all.
-        match method.run(&settings, &indices) {
-            Ok(()) => measured.push(method),
-            Err(error) => {
-                let (name, reason) = (method.name, one_line(&error));
-                failed.push(SkippedScan { name, reason });
-                first_error.get_or_insert(error);
-            }
+    if let Some(scans) = args.long_drive {
+        let drive = LongDrive {
+            form: bench.forms.into_iter().next(),
+            settings: bench.settings,
+            memory_bytes: args.memory.map(|memory| memory.0),
+            folder: ".".into(),
+            command_line: bench.command_line,
+            ..LongDrive::of(scans as usize)
+        };
+        let results = drive.run(watch).map_err(told)?;
+        if args.json {
+            print_json(&results)?;
+        } else {
+            print(&results.text())?;
         }
+        return Ok(Outcome::Complete);
     }
-    if let Some(error) = first_error.filter(|_| measured.is_empty()) {
-        return Err(error);
-    }
-    // Methods take turns: a machine that others use, too, is slower at one time than at another.
-    for _ in 1..args.runs {
-        for method in &mut measured {
-            method.run(&settings, &indices)?;
-        }
-    }
-    for method in &mut measured {
-        method.count(&settings, &dataset, &indices)?;
-    }
-
-    let results = Results {
-        version: env!("CARGO_PKG_VERSION"),
-        command_line: command_line(),
-        machine: Machine::here(rayon::current_num_threads()),
-        dataset: Data {
-            name: args.settings.dataset.display().to_string(),
-            format: dataset.format(),
-            scans: indices.len(),
-        },
-        limits,
-        methods: measured,
-        failed,
-    };
+    let results = bench.run(watch).map_err(told)?;
     if args.json {
         print_json(&results)?;
     } else {
-        print(&table::of(&results))?;
+        print(&results.text())?;
     }
-    let complete = results.methods.iter().all(Method::is_complete);
-    Ok(if complete {
+    Ok(if results.is_complete() {
         Outcome::Complete
     } else {
         Outcome::ScansSkipped
     })
 }
 
-/// The settings, with a simulated data set where none is named; it vanishes with its folder.
-fn settings(args: &Args) -> Result<(Settings, Option<TempDir>)> {
-    let mut settings = args.settings.clone();
-    if !args.is_simulated() {
-        return Ok((settings, None));
+#[cfg(feature = "gpu")]
+mod gpu {
+    use anyhow::Result;
+    use tsdfuse_evaluate::bench::{Bench, on_gpu};
+
+    use crate::exit::Outcome;
+    use crate::measuring::told;
+    use crate::output::{print, print_json};
+
+    pub(super) fn run(
+        bench: &Bench,
+        name: Option<&str>,
+        json: bool,
+        watch: &mut tsdfuse_evaluate::Watch<'_>,
+    ) -> Result<Outcome> {
+        let results = on_gpu(bench, name, watch).map_err(told)?;
+        if json {
+            print_json(&results)?;
+        } else {
+            print(&results.text())?;
+        }
+        Ok(Outcome::Complete)
     }
-    let folder = street::write()?;
-    settings.dataset = folder.path().to_owned();
-    Ok((settings, Some(folder)))
+}
+
+#[cfg(not(feature = "gpu"))]
+mod gpu {
+    use anyhow::Result;
+    use tsdfuse_evaluate::bench::Bench;
+
+    use crate::exit::{Outcome, Usage};
+
+    pub(super) fn run(_: &Bench, _: Option<&str>, _: bool, _: &mut tsdfuse_evaluate::Watch<'_>) -> Result<Outcome> {
+        Err(Usage::new("this build has no part for GPUs: it was made without the feature gpu").into())
+    }
+}
+
+impl Args {
+    fn bench(&self) -> Result<Bench> {
+        let forms = if self.methods.is_empty() {
+            Vec::new()
+        } else {
+            Form::chosen(&self.methods, &[]).map_err(told)?
+        };
+        Ok(Bench {
+            input: self.log.input(),
+            settings: self.log.settings(None)?,
+            forms,
+            runs: self.runs as usize,
+            command_line: command_line(),
+        })
+    }
+
+    /// Finds out before the work what cannot be.
+    fn check(&self, forms: &[Form]) -> Result<(), Usage> {
+        if self.long_drive.is_none() {
+            return Ok(());
+        }
+        if self.device != Device::Cpu {
+            return Err(Usage::new("--long-drive is for the CPU"));
+        }
+        if forms.len() > 1 {
+            return Err(Usage::new("--long-drive is for one method"));
+        }
+        if self.log.log != Path::new(STREET) || self.log.scans.is_some() {
+            return Err(Usage::new("--long-drive simulates its own scans: no log and no --scans with it"));
+        }
+        Ok(())
+    }
 }

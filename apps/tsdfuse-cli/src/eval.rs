@@ -1,25 +1,22 @@
 //! `tsdfuse eval`: how good a mesh is.
 
-mod reference;
-mod table;
-
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
-use glam::DVec3;
 use serde::Serialize;
-use tsdfuse::Mesh;
-use tsdfuse_eval::{Comparison, Protocol, Reference, color, compare};
+use tsdfuse::glam::DVec3;
+use tsdfuse_eval::{Comparison, Protocol, compare};
+use tsdfuse_evaluate::{colored, figures, reference};
 use tsdfuse_io::OpenOptions;
+use tsdfuse_run::{check_outputs, peak_memory_bytes};
 
 use crate::exit::{Outcome, Usage};
-use crate::output;
+use crate::measuring::{Bars, told};
+use crate::output::{print, print_json};
 use crate::progress::{self, note, say};
-use crate::report::{peak_memory_bytes, print, print_json};
-pub(crate) use reference::{read_points, read_reference};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -30,19 +27,19 @@ Examples:
 
 What each figure and protocol means is written in docs/evaluation.md.";
 
-/// Measure a mesh against a cloud, a mesh or all scans of a data set.
+/// Measure a mesh against a cloud, a mesh or all scans of a log.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
     /// The mesh, .ply, .obj or .glb.
     mesh: PathBuf,
-    /// What it is compared with: a cloud (.ply, .pcd), a mesh (.ply, .obj, .glb), or a data set, all of whose points count.
-    #[arg(long, value_name = "FILE|DATASET")]
+    /// What it is compared with: a cloud (.ply, .pcd), a mesh (.ply, .obj, .glb), or a log, all of whose points count.
+    #[arg(long, value_name = "FILE|LOG")]
     reference: PathBuf,
-    /// Take each N-th scan of the data set.
+    /// Take each N-th scan of the log.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
-    /// The data set's sensor: one of several in the log.
+    /// The log's sensor: one of several.
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
     /// Ask for completeness only at the points of this cloud: what a sensor saw of the reference.
@@ -98,7 +95,7 @@ struct Report<'a> {
     mesh: &'a Path,
     reference: &'a Path,
     observed: Option<&'a Path>,
-    /// Each so many-th scan of a data set was taken.
+    /// Each so many-th scan of a log was taken.
     every: u32,
     #[serde(flatten)]
     comparison: &'a Comparison,
@@ -122,13 +119,14 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let colored = args.colored(&protocol)?;
     let mesh = tsdfuse_io::mesh::read(&args.mesh)?;
     let options = OpenOptions {
-        sensor: args.sensor.clone(),
-        ..Default::default()
+        sensors: args.sensor.iter().cloned().collect(),
+        ..OpenOptions::default()
     };
-    let mut reference = read_reference(&args.reference, args.every as usize, &options)?;
+    let mut bars = Bars::default();
+    let found = reference::read(&args.reference, args.every as usize, &options, &mut |p| bars.show(p));
+    let mut reference = found.map_err(told)?;
     if let Some(path) = &args.observed {
-        let named = |error| anyhow::Error::new(error).context(path.display().to_string());
-        reference = reference.with_observed(read_points(path)?).map_err(named)?;
+        reference = reference::observed_at(reference, path).map_err(told)?;
     }
     let start = Instant::now();
     let spinner = progress::working("measuring");
@@ -139,7 +137,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         .iter()
         .for_each(|warning| say(format_args!("tsdfuse: warning: {warning}")));
     if let Some(Colored { path, max_error_m }) = &colored {
-        tsdfuse_io::mesh::write_colored(path, &mesh, &colors(&mesh, &reference, *max_error_m))?;
+        tsdfuse_io::mesh::write_colored(path, &mesh, &colored::by_distance(&mesh, &reference, *max_error_m))?;
     }
     drop(spinner);
     if args.json {
@@ -155,7 +153,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
             peak_memory_bytes: peak_memory_bytes(),
         })?;
     } else {
-        print(&table::of(&args.mesh, &args.reference, &comparison))?;
+        print(&figures::of(&args.mesh, &args.reference, &comparison))?;
         if let Some(Colored { path, max_error_m }) = &colored {
             note(format_args!(
                 "{}: dark blue at 0, yellow from {max_error_m} m on",
@@ -182,23 +180,16 @@ impl Args {
     fn colored(&self, protocol: &Protocol) -> Result<Option<Colored<'_>>> {
         let Some(path) = &self.colored else { return Ok(None) };
         tsdfuse_io::mesh::check_colored(path).map_err(Usage::new)?;
-        output::check_file(path)?;
+        let inputs = [Some(&self.mesh), Some(&self.reference), self.observed.as_ref()];
+        let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
+        check_outputs(&inputs, &[path])?;
         let largest = protocol.thresholds_m.iter().copied().fold(0.0, f64::max);
         let max_error_m = self.max_error.unwrap_or(largest);
-        match max_error_m > 0.0 && max_error_m.is_finite() {
-            true => Ok(Some(Colored { path, max_error_m })),
-            false => Err(Usage::new(format_args!("--max-error must be more than 0, not {max_error_m}")).into()),
+        if max_error_m > 0.0 && max_error_m.is_finite() {
+            return Ok(Some(Colored { path, max_error_m }));
         }
+        Err(Usage::new(format_args!("--max-error must be more than 0, not {max_error_m}")).into())
     }
-}
-
-/// The colour of each vertex's distance to the reference.
-fn colors(mesh: &Mesh, reference: &Reference, max_error_m: f64) -> Vec<[u8; 3]> {
-    let distances = reference.distances(&mesh.vertices);
-    distances
-        .into_iter()
-        .map(|distance| color::of_distance(distance, max_error_m))
-        .collect()
 }
 
 #[cfg(test)]

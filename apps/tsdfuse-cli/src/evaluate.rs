@@ -1,332 +1,214 @@
-//! `tsdfuse evaluate`: methods side by side on a data set, as tables, plots and pictures.
+//! `tsdfuse evaluate`: methods side by side on a log, as tables, plots and pictures.
 
-mod args;
-mod child;
-pub(crate) mod forms;
-mod page;
-mod pictures;
-mod plots;
-mod reference;
-pub(crate) mod results;
-mod tables;
-mod tune;
+use std::path::PathBuf;
 
-use std::fs;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use anyhow::Result;
+use clap::builder::PossibleValuesParser;
+use tsdfuse::MapConfig;
+use tsdfuse::glam::DVec3;
+use tsdfuse_eval::Protocol;
+use tsdfuse_evaluate::{Comparing, Evaluated, Evaluation, Form, Tuning, tables};
+use tsdfuse_io::DEPTH_CAMERA_TRUNCATION_M;
 
-use anyhow::{Context, Result, bail};
-use tempfile::TempDir;
-use tsdfuse::Mesh;
-use tsdfuse::render::{RenderConfig, Renderer};
-use tsdfuse_eval::held_out::{Collector, HeldOut};
-use tsdfuse_eval::stats::Histogram;
-use tsdfuse_io::Dataset;
-use tsdfuse_io::geometry::{self, Geometry};
+use crate::args::{LogArgs, parse_triple};
+use crate::exit::Outcome;
+use crate::measuring::{Bars, told};
+use crate::output::{command_line, print, print_json};
+use crate::progress::{note, say};
+use crate::run_job;
 
-pub(crate) use args::Args;
+const EXAMPLES: &str = "\
+What is compared: a mesh of all scans with the reference; and a map without every K-th scan with the returns of those \
+(hits, false surface, missing surface). The reference is --reference, or the true surface of a simulated log, or the \
+points of all scans. Each method runs in a process of its own; of several runs, methods take turns and the median speed \
+counts. What each figure means: docs/evaluation.md.
 
-use crate::config::{RunConfig, Suggested};
-use crate::exit::{Outcome, Usage, one_line};
-use crate::machine::Machine;
-use crate::progress::{self, note, say};
-use crate::report::{command_line, print, print_json};
-use crate::settings::split;
-use child::{FuseReport, Skipped, Wanted};
-use forms::Form;
-use pictures::{Gallery, Views};
-use reference::Chosen;
-use results::{Data, Results, Row, Speed};
-use tables::Table;
+Examples:
+  tsdfuse evaluate pandaset/002 -o pandaset-002
+  tsdfuse evaluate street --methods raycast,raycast-projective --runs 5 -o street-methods
+  tsdfuse evaluate kitti/sequences/00 --scans 0..200 --method-set raycast:map.voxel_size_m=0.1,map.truncation_m=0.3
+  tsdfuse evaluate kitti/sequences/00 --tune --budget 600";
 
-/// One of so many scans is held out, unless that is asked for otherwise.
-const HOLD_OUT: u32 = 10;
-
-/// Bins of a histogram of held-out errors, 0 to the margin.
-const BINS: usize = 100;
+/// Compare methods on a log: error, completeness, held-out scans, speed and memory, as tables and a report with pictures.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Args {
+    #[arg(long, value_name = "NAMES", value_delimiter = ',',
+        help = format!("Which methods: all, or some of {} [default: all, or none with --method-set]", Form::names().join(", ")))]
+    methods: Vec<String>,
+    /// A method with settings of its own: METHOD:KEY=VALUE[,KEY=VALUE].
+    #[arg(long, value_name = "SET")]
+    method_set: Vec<String>,
+    /// The folder for report.html, table.md, results.json and methods.png.
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Print the results as JSON on standard output instead of tables.
+    #[arg(long)]
+    json: bool,
+    /// Every K-th scan is held out; 0: none [default: 10, or fewer where there are fewer scans].
+    #[arg(long, value_name = "K")]
+    hold_out: Option<u32>,
+    #[arg(long, value_name = "M", help = format!(
+        "Farther from its return than this, surface is another surface [default: {}, or {DEPTH_CAMERA_TRUNCATION_M} for depth cameras]",
+        MapConfig::default().truncation_m))]
+    margin: Option<f64>,
+    /// What meshes are compared with: a mesh or a cloud (.ply), or a log for the points of its scans.
+    #[arg(long, value_name = "FILE")]
+    reference: Option<PathBuf>,
+    /// Where points of scans are the reference: only each N-th scan.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+    /// How meshes are compared [default: surface with a mesh, thesis with points as the reference].
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(Protocol::NAMES))]
+    protocol: Option<String>,
+    /// Samples on each mesh [default: the protocol's].
+    #[arg(long, value_name = "N")]
+    samples: Option<usize>,
+    /// Runs of each method, whose median speed counts; 1 is quicker, but a single time is noisy.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    runs: u32,
+    /// A picture's place and what is in its middle, world, metres; more than one may be given [default: from above and twice from
+    /// the sensor].
+    #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_parser = parse_view, allow_hyphen_values = true)]
+    view: Vec<[DVec3; 2]>,
+    /// The error at the bright end of the colours, metres.
+    #[arg(long, value_name = "M", default_value_t = 0.05)]
+    max_error: f64,
+    /// Keep the meshes, as PLY, in the folder of the results.
+    #[arg(long, requires = "output")]
+    keep_meshes: bool,
+    /// Search method, voxel size and truncation by held-out error instead, and print the command to use.
+    #[arg(long)]
+    tune: bool,
+    /// How long the search may take, seconds.
+    #[arg(long, value_name = "SECS", default_value_t = 300.0, requires = "tune")]
+    budget: f64,
+    #[command(flatten)]
+    log: LogArgs,
+}
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
-    let forms = Form::chosen(&args.methods, &args.method_set)?;
-    // Before the work, not after it.
-    for form in &forms {
-        let mut layers = args.settings.layers(Some(form.method.name()))?;
-        form.settings.iter().try_for_each(|setting| layers.set_text(setting))?;
-    }
+    let forms = Form::chosen(&args.methods, &args.method_set).map_err(told)?;
     if args.tune {
-        return tune::run(args, &forms);
+        return tune(args, forms);
     }
-    args.settings.set_threads()?;
-    let folder = Folder::create(args.output.as_deref())?;
-    let dataset = args.settings.open()?;
-    let evaluation = Evaluation::new(args, &dataset, &folder)?;
-    let (results, gallery) = evaluation.run(&forms)?;
-    let tables = tables::of(&results);
-    if let Some(output) = &args.output {
-        write(output, &results, &tables, &gallery)?;
+    let evaluation = args.evaluation(forms)?;
+    args.log.set_threads()?;
+    let mut bars = Bars::default();
+    let found = evaluation.run(&mut run_job::in_own_process(args.log.threads), &mut |p| bars.show(p));
+    let Evaluated {
+        results,
+        files,
+        sheet_rows,
+    } = found.map_err(told)?;
+    for file in &files {
+        let is_sheet = file.extension().is_some_and(|e| e == "png");
+        let rows = if is_sheet { format!(" (row by row: {sheet_rows})") } else { String::new() };
+        say(format_args!("  wrote    {}{rows}", file.display()));
     }
     if args.json {
         print_json(&results)?;
     } else {
-        let texts: Vec<_> = tables.iter().map(Table::text).collect();
+        let texts: Vec<_> = tables::of(&results).iter().map(|table| table.text()).collect();
         print(&texts.join("\n"))?;
     }
     for row in &results.methods {
         let warnings = row.surface.warnings.iter();
         warnings.for_each(|warning| note(format_args!("{}: {warning}", row.form.name)));
     }
-    results
-        .failed
-        .iter()
-        .for_each(|failed| note(format_args!("{}: {}", failed.name, failed.reason)));
-    Ok(match results.methods.iter().all(|row| row.skipped_scans.is_empty()) {
-        true => Outcome::Complete,
-        false => Outcome::ScansSkipped,
-    })
-}
-
-/// Where files go while methods run.
-struct Folder {
-    temporary: TempDir,
-}
-
-impl Folder {
-    fn create(output: Option<&Path>) -> Result<Self> {
-        let temporary = match output {
-            None => tempfile::tempdir(),
-            Some(output) => {
-                fs::create_dir_all(output).with_context(|| output.display().to_string())?;
-                tempfile::Builder::new().prefix(".work-").tempdir_in(output)
-            }
-        };
-        Ok(Self {
-            temporary: temporary.context("no folder for meshes and maps can be made")?,
-        })
+    for failed in &results.failed {
+        note(format_args!("{}: {}", failed.name, failed.reason));
     }
+    Ok(outcome(results.methods.iter().all(|row| row.skipped_scans.is_empty())))
+}
 
-    fn path(&self, name: &str) -> PathBuf {
-        self.temporary.path().join(name)
+fn tune(args: &Args, forms: Vec<Form>) -> Result<Outcome> {
+    let tuning = Tuning {
+        input: args.log.input(),
+        settings: args.log.settings(None)?,
+        forms,
+        hold_out: args.hold_out.map(|every| every as usize),
+        margin_m: args.margin,
+        budget_secs: args.budget,
+    };
+    args.log.set_threads()?;
+    let mut bars = Bars::default();
+    let found = tuning.run(&mut |p| bars.show(p)).map_err(told)?;
+    for skipped in &found.skipped_scans {
+        say(format_args!("tsdfuse: warning: {} is skipped: {}", skipped.name, skipped.reason));
+    }
+    if args.json {
+        print_json(&found)?;
+    } else {
+        print(&found.text())?;
+    }
+    Ok(outcome(found.skipped_scans.is_empty()))
+}
+
+fn outcome(is_complete: bool) -> Outcome {
+    if is_complete {
+        Outcome::Complete
+    } else {
+        Outcome::ScansSkipped
     }
 }
 
-/// What all methods are compared on.
-struct Evaluation<'a> {
-    args: &'a Args,
-    dataset: &'a Dataset,
-    folder: &'a Folder,
-    indices: Vec<usize>,
-    hold_out: Option<u32>,
-    held_out: Vec<usize>,
-    margin_m: f64,
-    chosen: Chosen,
-}
-
-impl<'a> Evaluation<'a> {
-    fn new(args: &'a Args, dataset: &'a Dataset, folder: &'a Folder) -> Result<Self> {
-        let indices = args.settings.indices(dataset.len())?;
-        let hold_out = match args.hold_out {
-            Some(0) => None,
-            Some(1) => bail!(Usage::new(
-                "--hold-out 1 would hold out every scan; 2 or more, or 0 for none, is wanted"
-            )),
-            Some(every) => Some(every),
-            None if indices.len() < 2 => bail!(Usage::new(
-                "one scan is too few to hold one out; --hold-out 0 holds out none"
-            )),
-            None => Some(HOLD_OUT.min(indices.len() as u32)),
-        };
-        let (_, held_out) = split(&indices, hold_out)?;
-        let suggested = Suggested::by(dataset);
-        let margin_m = args.margin_m(suggested.camera.is_some())?;
-        let range = args.settings.layers(None)?.resolve(&suggested)?.range;
-        let chosen = Chosen::by(args, dataset, &indices, range)?;
-        chosen.protocol.check().map_err(Usage::new)?;
-        Ok(Self {
-            args,
-            dataset,
-            folder,
-            indices,
-            hold_out,
-            held_out,
-            margin_m,
-            chosen,
-        })
-    }
-
-    fn run(self, forms: &[Form]) -> Result<(Results, Gallery)> {
-        let mut methods: Vec<Row> = Vec::new();
-        let mut failed = Vec::new();
-        let mut pictures = None;
-        let bar = progress::steps("evaluating", forms.len());
-        for form in forms {
-            bar.set_message(form.name.clone());
-            match self.row(form) {
-                Ok((row, mesh)) => {
-                    self.draw(&mut pictures, &form.name, &mesh)?;
-                    methods.push(row);
-                }
-                // Who asks for several wants those that there are.
-                Err(error) if forms.len() > 1 => failed.push(Skipped {
-                    name: form.name.clone(),
-                    reason: one_line(&error),
-                }),
-                Err(error) => return Err(error.context(form.name.clone())),
-            }
-            bar.inc(1);
-        }
-        drop(bar);
-        if let (true, Some(Skipped { name, reason })) = (methods.is_empty(), failed.first()) {
-            bail!("no method could be used; {name}: {reason}");
-        }
-        let own = &self.args.settings.dataset;
-        // Where on this machine it lies is nobody's business.
-        let full = own.canonicalize().ok();
-        let name = match own.is_relative() && own.file_name().is_some() {
-            true => own.as_os_str(),
-            false => full.as_deref().and_then(Path::file_name).unwrap_or(own.as_os_str()),
-        };
-        let results = Results {
-            version: env!("CARGO_PKG_VERSION"),
+impl Args {
+    fn evaluation(&self, forms: Vec<Form>) -> Result<Evaluation> {
+        Ok(Evaluation {
+            input: self.log.input(),
+            settings: self.log.settings(None)?,
+            forms,
+            hold_out: self.hold_out.map(|every| every as usize),
+            margin_m: self.margin,
+            comparing: Comparing {
+                reference: self.reference.clone(),
+                every: self.every as usize,
+                protocol: self.protocol.clone(),
+                samples: self.samples,
+            },
+            runs: self.runs as usize,
+            views: self.view.clone(),
+            max_error_m: self.max_error,
+            config_file: self.log.config.clone(),
+            output: self.output.clone(),
+            keep_meshes: self.keep_meshes,
             command_line: command_line(),
-            machine: Machine::here(methods.first().map_or(0, |row| row.threads)),
-            dataset: Data {
-                name: name.to_string_lossy().into_owned(),
-                format: self.dataset.format(),
-                scans: self.indices.len(),
-                hold_out: self.hold_out,
-                held_out_scans: self.held_out.len(),
-            },
-            reference: self.chosen,
-            methods,
-            failed,
-        };
-        Ok((results, pictures.map_or_else(Gallery::default, |(_, gallery)| gallery)))
-    }
-
-    /// Fuses with one form, all scans and those that are not held out, and measures what came of it.
-    fn row(&self, form: &Form) -> Result<(Row, Mesh)> {
-        let settings = &self.args.settings;
-        let stem = form.file_stem();
-        let [path, report] = ["ply", "json"].map(|extension| self.folder.path(&format!("{stem}.{extension}")));
-        let wanted = Wanted {
-            mesh: Some(&path),
-            ..Wanted::default()
-        };
-        let runs = (0..self.args.runs).map(|_| child::fuse(settings, form, wanted, &report));
-        let mut runs = runs.collect::<Result<Vec<FuseReport>>>()?;
-        let scans_per_sec: Vec<f64> = runs.iter().map(|run| Speed::of(run).scans_per_sec).collect();
-        let peak_memory_bytes = runs.iter().filter_map(|run| run.peak_memory_bytes).max();
-        runs.sort_by(|a, b| Speed::of(a).scans_per_sec.total_cmp(&Speed::of(b).scans_per_sec));
-        let run = runs.swap_remove((runs.len() - 1) / 2);
-
-        let Geometry::Mesh(mesh) = geometry::read(&path)? else {
-            bail!("it gives no surface");
-        };
-        if let (true, Some(output)) = (self.args.keep_meshes, &self.args.output) {
-            let kept = output.join(format!("{stem}.ply"));
-            fs::rename(&path, &kept).with_context(|| kept.display().to_string())?;
-        } else {
-            fs::remove_file(&path).with_context(|| path.display().to_string())?;
-        }
-        let (held_out, held_out_histogram) = match self.held_out(form, &run.config)? {
-            Some((result, histogram)) => (Some(result), Some(histogram)),
-            None => (None, None),
-        };
-        let row = Row {
-            form: form.clone(),
-            command: form.command(settings),
-            surface: tsdfuse_eval::compare(&mesh, &self.chosen.reference, &self.chosen.protocol)?,
-            held_out,
-            held_out_histogram,
-            speed: Speed::of(&run),
-            scans_per_sec,
-            peak_memory_bytes,
-            threads: run.threads,
-            map_bytes: run.map.bytes,
-            map_blocks: run.map.blocks,
-            triangles: mesh.triangles.len(),
-            mesh_secs: run.mesh.map_or(f64::NAN, |mesh| mesh.seconds),
-            fused_share: run.totals.fused as f64 / (run.totals.points - run.totals.dropped.total()) as f64,
-            scan_secs: run.scans.iter().map(|scan| scan.prepare + scan.fuse).collect(),
-            config: run.config,
-            skipped_scans: run.skipped_scans,
-        };
-        Ok((row, mesh))
-    }
-
-    /// Fuses without the held-out scans and sees how well these are foretold.
-    fn held_out(&self, form: &Form, config: &RunConfig) -> Result<Option<(HeldOut, Histogram)>> {
-        if self.held_out.is_empty() {
-            return Ok(None);
-        }
-        let [map, report] = ["map.tsdf", "report.json"].map(|name| self.folder.path(name));
-        let wanted = Wanted {
-            map: Some(&map),
-            hold_out: self.hold_out,
-            ..Wanted::default()
-        };
-        child::fuse(&self.args.settings, form, wanted, &report)?;
-        let map = tsdfuse_io::map_file::read(&map)?;
-        let renderer = Renderer::new(
-            &map,
-            &RenderConfig {
-                min_weight: config.mesh.min_weight,
-                ..Default::default()
-            },
-        )?;
-        let mut collector = Collector::new(self.margin_m);
-        for read in self.dataset.iter_indices(self.held_out.clone()) {
-            let mut scan = match read.scan {
-                Ok(scan) => scan,
-                Err(_) if self.args.settings.skip_bad => continue,
-                Err(error) => return Err(error.into()),
-            };
-            scan.drop_invalid(&config.range);
-            collector.add(&renderer, &scan);
-        }
-        let result = collector.result().context("the held-out scans have no valid return")?;
-        let errors: Vec<f64> = collector.errors_m().iter().map(|e| e.abs()).collect();
-        Ok(Some((
-            result,
-            Histogram::of(&errors, self.margin_m / BINS as f64, BINS),
-        )))
-    }
-
-    /// Draws a mesh, if pictures go anywhere; the first one decides where from.
-    fn draw(&self, pictures: &mut Option<(Views, Gallery)>, name: &str, mesh: &Mesh) -> Result<()> {
-        if self.args.output.is_none() {
-            return Ok(());
-        }
-        if pictures.is_none() {
-            let scans = self.dataset.scans();
-            let poses: Vec<_> = self.indices.iter().map(|&index| scans[index].pose).collect();
-            let views = Views::choose(self.args, &poses, mesh);
-            let mut gallery = Gallery::new(&views);
-            gallery.add_reference(&views, &self.chosen)?;
-            *pictures = Some((views, gallery));
-        }
-        match pictures {
-            Some((views, gallery)) => gallery.add_mesh(views, name, mesh, &self.chosen),
-            None => Ok(()),
-        }
+        })
     }
 }
 
-/// Writes everything into the folder.
-fn write(folder: &Path, results: &Results, tables: &[Table], gallery: &Gallery) -> Result<()> {
-    let plots = plots::of(results)?;
-    let markdown: Vec<_> = tables.iter().map(Table::markdown).collect();
-    let files = [
-        ("results.json", serde_json::to_string_pretty(results)? + "\n"),
-        ("table.md", markdown.join("\n")),
-        ("report.html", page::of(results, tables, &plots, gallery)),
-    ];
-    for (name, text) in files {
-        tsdfuse_io::atomic::write(folder.join(name), |file| file.write_all(text.as_bytes()))?;
-        say(format_args!("  wrote    {}", folder.join(name).display()));
+fn parse_view(text: &str) -> Result<[DVec3; 2], String> {
+    let wanted = || "six numbers are wanted: the camera's x,y,z and those of what it looks at".to_owned();
+    let third_comma = text.match_indices(',').nth(2).ok_or_else(wanted)?.0;
+    let [from, to] = [&text[..third_comma], &text[third_comma + 1..]].map(parse_triple);
+    let view = [from.map_err(|_| wanted())?, to.map_err(|_| wanted())?];
+    if view[0] == view[1] {
+        return Err("the camera is where it looks at".to_owned());
     }
-    let (sheet, order) = gallery.contact_sheet();
-    let path = folder.join("methods.png");
-    tsdfuse_io::png::write(&path, &sheet)?;
-    say(format_args!("  wrote    {} (row by row: {order})", path.display()));
-    Ok(())
+    Ok(view)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_view_is_two_places() {
+        assert_eq!(
+            parse_view("1,2,3,-4,5.5,6"),
+            Ok([DVec3::new(1.0, 2.0, 3.0), DVec3::new(-4.0, 5.5, 6.0)])
+        );
+        for bad in [
+            "",
+            "1,2,3",
+            "1,2,3,4,5",
+            "1,2,3,4,5,x",
+            "1,2,3,4,5,6,7",
+            "1,2,3,1,2,3",
+            "1,2,3,4,5,nan",
+        ] {
+            assert!(parse_view(bad).is_err(), "{bad}");
+        }
+    }
 }

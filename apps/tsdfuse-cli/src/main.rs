@@ -8,6 +8,7 @@ mod exit;
 mod fuse;
 mod info;
 mod map;
+mod measuring;
 mod mesh;
 mod output;
 mod progress;

@@ -50,7 +50,11 @@ pub fn of(job: &Job) -> String {
     option("--preview", path(&outputs.preview));
     option("--report", path(&outputs.report));
     option("-o", path(&outputs.mesh));
-    let start = ["tsdfuse".to_owned(), "fuse".to_owned(), input.path.display().to_string()];
+    let start = [
+        "tsdfuse".to_owned(),
+        "fuse".to_owned(),
+        input.path.display().to_string(),
+    ];
     let flags = input.skip_bad.then(|| "--skip-bad".to_owned());
     let words = start.into_iter().chain(flags).chain(words);
     words.map(quoted).collect::<Vec<_>>().join(" ")

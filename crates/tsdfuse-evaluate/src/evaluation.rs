@@ -38,7 +38,10 @@ pub type Runner<'a> = dyn FnMut(&Job) -> Result<Report, String> + 'a;
 
 /// Runs jobs in this process. Then the peak of the memory is that of all of them.
 pub fn in_this_process() -> impl FnMut(&Job) -> Result<Report, String> {
-    |job| job.run(&Stop::default(), &mut Silent).map_err(|error| error.to_string())
+    |job| {
+        job.run(&Stop::default(), &mut Silent)
+            .map_err(|error| error.to_string())
+    }
 }
 
 /// What is compared, and how.
@@ -135,7 +138,8 @@ impl Evaluation {
         }
         self.comparing.check()?;
         check_length("--max-error", self.max_error_m)?;
-        self.margin_m.map_or(Ok(()), |margin_m| check_length("--margin", margin_m))
+        self.margin_m
+            .map_or(Ok(()), |margin_m| check_length("--margin", margin_m))
     }
 
     /// The names of all files of results.
@@ -223,9 +227,7 @@ impl<'a> Workplace<'a> {
             watch(Progress::Step);
         }
         if let (true, Some(Failed { name, reason })) = (rows.is_empty(), failed.first()) {
-            return Err(Error::failed(format_args!(
-                "no method could be used; {name}: {reason}"
-            )));
+            return Err(Error::failed(format_args!("no method could be used; {name}: {reason}")));
         }
         for _ in 1..*runs {
             for (row, reports) in &mut rows {
@@ -314,7 +316,7 @@ impl<'a> Workplace<'a> {
             scans_per_sec: Vec::new(),
             peak_memory_bytes: None,
             threads: report.threads,
-            map_bytes: report.map.bytes,
+            map_bytes: report.map.bytes as u64,
             map_blocks: report.map.blocks,
             triangles: mesh.triangles.len(),
             mesh_secs: f64::NAN,

@@ -106,7 +106,10 @@ mod tests {
             assert_eq!(check(good, "b.ply"), Ok(()), "{good}");
         }
         for bad in ["log", "log/scans", "log/new", "log/new/deep", "out/../log/new"] {
-            assert!(check(bad, "b.ply").unwrap_err().contains("results do not go into"), "{bad}");
+            assert!(
+                check(bad, "b.ply").unwrap_err().contains("results do not go into"),
+                "{bad}"
+            );
         }
         assert!(check("out", "a.ply").unwrap_err().contains("would overwrite"));
         #[cfg(unix)]

@@ -21,9 +21,9 @@ pub struct Form {
 const NOTABLE: [(Method, &str, &str); 5] = [
     (Method::Raycast, "projective", "raycast.distance=projective"),
     (Method::Normals, "holz", "normals.estimator=holz"),
-    (Method::Surfel, "ground-flip", "surfel.ground_flip=true"),
+    (Method::Surfels, "ground-flip", "surfel.ground_flip=true"),
     // Discs of 1 σ, as the text of the thesis says.
-    (Method::Surfel, "literal", "surfel.radius_sigmas=1"),
+    (Method::Surfels, "literal", "surfel.radius_sigmas=1"),
     (Method::Roldao, "streaming", "roldao.form=streaming"),
 ];
 
@@ -91,19 +91,14 @@ impl Form {
             chosen.extend(all.iter().filter(|form| name == ALL || form.name == name).cloned());
             if chosen.len() == count {
                 let known = Self::names().join(", ");
-                return Err(Error::config(format_args!(
-                    "no method {name}; there are all, {known}"
-                )));
+                return Err(Error::config(format_args!("no method {name}; there are all, {known}")));
             }
         }
         for text in written_out {
             chosen.push(Self::parse(text.as_ref())?);
         }
         match (1..chosen.len()).find(|&i| chosen[..i].contains(&chosen[i])) {
-            Some(twice) => Err(Error::config(format_args!(
-                "{} is asked for twice",
-                chosen[twice].name
-            ))),
+            Some(twice) => Err(Error::config(format_args!("{} is asked for twice", chosen[twice].name))),
             None => Ok(chosen),
         }
     }

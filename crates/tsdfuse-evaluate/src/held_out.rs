@@ -45,15 +45,16 @@ impl HeldOutScans {
         let mut collector = Collector::new(self.margin_m);
         let mut skipped = Vec::new();
         for read in log.read_indices(self.indices.clone()) {
-            let name = read.name();
             let added = read.scan.map_err(Error::from).and_then(|mut scan| {
                 scan.drop_invalid(&config.range);
                 collector.add(&renderer, &scan).map_err(Error::failed)
             });
             match added {
                 Err(error) if self.skip_bad => {
-                    let reason = error.to_string();
-                    skipped.push(SkippedScan { name, reason });
+                    skipped.push(SkippedScan {
+                        name: log.scans()[read.index].name.clone(),
+                        reason: error.to_string(),
+                    });
                 }
                 other => other?,
             }
@@ -125,7 +126,11 @@ mod tests {
         assert_eq!((few.hold_out, few.held_out_indices(14)), (Some(4), vec![12]));
         for (hold_out, scans, told) in [
             (Some(1), 100, "would hold out every scan"),
-            (Some(30), 13, "3 scans are too few to hold out the middle one of each 30"),
+            (
+                Some(30),
+                13,
+                "3 scans are too few to hold out the middle one of each 30",
+            ),
             (None, 11, "one scan is too few to hold one out"),
         ] {
             let error = selection(&asked, hold_out, 10, scans).unwrap_err().to_string();

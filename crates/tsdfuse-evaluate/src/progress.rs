@@ -9,7 +9,7 @@ pub enum Progress<'a> {
     /// Work begins, such as `evaluating`; it ends with [`Self::Done`].
     Begun {
         /// What is done.
-        work: &'a str,
+        work: &'static str,
         /// Its steps; not known of some work.
         steps: Option<usize>,
     },

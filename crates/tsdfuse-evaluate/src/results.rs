@@ -78,7 +78,7 @@ pub struct Row {
     /// Threads that fused.
     pub threads: usize,
     /// Memory of the map.
-    pub map_bytes: usize,
+    pub map_bytes: u64,
     /// Its blocks.
     pub map_blocks: usize,
     /// Triangles of the mesh.
@@ -132,7 +132,9 @@ impl Row {
         self.scans_per_sec = runs.iter().map(|run| Speed::of(run).scans_per_sec).collect();
         self.peak_memory_bytes = runs.iter().filter_map(|run| run.peak_memory_bytes).max();
         runs.sort_by(|a, b| Speed::of(a).scans_per_sec.total_cmp(&Speed::of(b).scans_per_sec));
-        let Some(run) = runs.get(runs.len().saturating_sub(1) / 2) else { return };
+        let Some(run) = runs.get(runs.len().saturating_sub(1) / 2) else {
+            return;
+        };
         self.speed = Speed::of(run);
         self.mesh_secs = run.mesh.as_ref().map_or(f64::NAN, |mesh| mesh.seconds);
         self.scan_secs = run.scans.iter().map(scan_secs).collect();

@@ -62,7 +62,7 @@ fn color(method: Method) -> [u8; 3] {
     match method {
         Method::Raycast => [0, 114, 178],
         Method::Normals => [213, 94, 0],
-        Method::Surfel => [0, 158, 115],
+        Method::Surfels => [0, 158, 115],
         Method::Cylindrical => [204, 121, 167],
         Method::Kuehner => [230, 159, 0],
         Method::Depth => [86, 180, 233],

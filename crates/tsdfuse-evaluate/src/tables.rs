@@ -1,6 +1,6 @@
 //! The tables of an evaluation.
 
-use crate::results::{Results, Row};
+use crate::results::Results;
 use crate::table::Better::{Less, More, Neither};
 use crate::table::{Column, Table, column};
 

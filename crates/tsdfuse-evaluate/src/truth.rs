@@ -108,7 +108,11 @@ impl Comparing {
                 (Reference::cloud(points)?, self.scans_in_words(indices.len()), path)
             }
         };
-        let default = if reference.kind() == "mesh" { "surface" } else { "thesis" };
+        let default = if reference.kind() == "mesh" {
+            "surface"
+        } else {
+            "thesis"
+        };
         Ok(Truth {
             words,
             path: path.to_owned(),

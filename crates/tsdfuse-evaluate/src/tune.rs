@@ -124,7 +124,8 @@ impl Tuning {
         for form in &self.forms {
             form.over(&self.settings)?;
         }
-        self.margin_m.map_or(Ok(()), |margin_m| check_length("--margin", margin_m))?;
+        self.margin_m
+            .map_or(Ok(()), |margin_m| check_length("--margin", margin_m))?;
         let log = self.input.open(&mut Runs(watch))?;
         let scans = reference::length(&log)?;
         let selection = held_out::selection(&self.input.selection, self.hold_out, HOLD_OUT, scans)?;
@@ -355,7 +356,9 @@ impl Search<'_> {
 impl Tuned {
     /// The best candidates, and the command of the best one.
     pub fn text(&self) -> String {
-        let Some(best) = self.ranking.first() else { return String::new() };
+        let Some(best) = self.ranking.first() else {
+            return String::new();
+        };
         let mut text = format!(
             "{} of {} candidates tried in {:.0} s; the best on {} of {} scans, one of {} held out{}.\n\
              Objective: capped, the mean over all held-out returns of min(|Δr|, {} m), where false and missing surface\n\

@@ -1,19 +1,17 @@
 //! What both benches fuse: simulated scans, the same everywhere, with every method.
 
 use anyhow::{Context, Result};
-use glam::{DVec3, Vec3};
 use tsdfuse::fuse::{Distance, FuseConfig, Method, RoldaoForm};
+use tsdfuse::glam::{DVec3, Vec3};
 use tsdfuse::normals::Estimator;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Integrator, MapConfig, Scan, SensorModel, VoxelMap};
+use tsdfuse_io::{DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M};
 use tsdfuse_sim::{Simulator, SimulatorConfig, path, scene};
 
 /// The sensor in the street.
 const SENSOR: &str = "pandar64";
-
-/// The longest depth of a depth camera, metres.
-const MAX_DEPTH_M: f64 = 5.0;
 
 /// A method with settings of its own.
 pub(crate) struct Form {
@@ -23,7 +21,7 @@ pub(crate) struct Form {
 }
 
 /// All that fuse scan by scan.
-pub(crate) const FORMS: [Form; 11] = [
+pub(crate) const FORMS: [Form; 12] = [
     form("raycast", Method::Raycast, |_| ()),
     form("raycast-projective", Method::Raycast, |config| {
         config.raycast.distance = Distance::Projective;
@@ -32,15 +30,18 @@ pub(crate) const FORMS: [Form; 11] = [
     form("normals-holz", Method::Normals, |config| {
         config.normals.estimator = Estimator::Holz;
     }),
-    form("surfel", Method::Surfel, |_| ()),
-    form("surfel-ground-flip", Method::Surfel, |config| {
+    form("surfel", Method::Surfels, |_| ()),
+    form("surfel-ground-flip", Method::Surfels, |config| {
         config.surfel.ground_flip = true;
     }),
+    form("surfel-literal", Method::Surfels, |config| config.surfel.radius_sigmas = 1.0),
     form("cylindrical", Method::Cylindrical, |_| ()),
     form("kuehner", Method::Kuehner, |_| ()),
     form("depth", Method::Depth, |_| ()),
     form("caminal", Method::Caminal, |_| ()),
-    form("roldao", Method::Roldao, |config| config.roldao.form = RoldaoForm::Scan),
+    form("roldao-streaming", Method::Roldao, |config| {
+        config.roldao.form = RoldaoForm::Streaming;
+    }),
 ];
 
 const fn form(name: &'static str, method: Method, set: fn(&mut FuseConfig)) -> Form {
@@ -57,13 +58,14 @@ impl Form {
     pub(crate) fn start(&self, sensor: &SensorModel) -> Result<(Box<dyn Integrator>, VoxelMap)> {
         let mut config = FuseConfig::default();
         (self.set)(&mut config);
-        let map = match self.wants_depth() {
-            true => MapConfig {
-                voxel_size_m: 0.02,
-                truncation_m: 0.08,
+        let map = if self.wants_depth() {
+            MapConfig {
+                voxel_size_m: DEPTH_CAMERA_VOXEL_SIZE_M,
+                truncation_m: DEPTH_CAMERA_TRUNCATION_M,
                 ..Default::default()
-            },
-            false => MapConfig::default(),
+            }
+        } else {
+            MapConfig::default()
         };
         Ok((self.method.build(&config, Some(sensor)), VoxelMap::new(map)?))
     }
@@ -102,11 +104,11 @@ pub(crate) fn depth_images(scans: usize) -> Result<Vec<Scan>> {
             let ray = camera.ray((pixel % camera.width) as f32, (pixel / camera.width) as f32);
             let direction: DVec3 = pose.rotation * ray.as_dvec3();
             let depth_m = scene.cast(origin, direction)?.range_m / direction.length();
-            (depth_m <= MAX_DEPTH_M).then(|| ray * depth_m as f32)
+            (depth_m <= f64::from(DEPTH_CAMERA_MAX_RANGE_M)).then(|| ray * depth_m as f32)
         };
         Scan {
             points: (0..camera.width * camera.height).filter_map(seen).collect(),
-            pose,
+            pose: Some(pose),
             camera: Some(camera),
             ..Default::default()
         }

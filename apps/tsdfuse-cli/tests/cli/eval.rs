@@ -149,6 +149,12 @@ fn wrong_inputs_are_named() {
         told.contains("a.obj: a coloured mesh is written as .ply or .glb"),
         "{told}"
     );
+    for input in [&mesh, &truth] {
+        let before = fs::read(input).unwrap();
+        let told = failed(&[&mesh, "--reference", &truth, "--colored", input], 2);
+        assert!(told.contains("would overwrite"), "{told}");
+        assert!(fs::read(input).unwrap() == before);
+    }
     let told = failed(&[&set, "--reference", &truth], 1);
     assert!(told.contains("is none of .ply, .obj, .glb and .pcd"), "{told}");
     assert_eq!(

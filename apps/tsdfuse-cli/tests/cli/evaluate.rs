@@ -1,11 +1,13 @@
 //! `tsdfuse evaluate` on small simulated sets.
 
 use std::fs;
+use std::io::Write;
+use std::process::Stdio;
 
 use serde_json::Value;
 
 use crate::ply;
-use crate::run::{Folder, names, tsdfuse};
+use crate::run::{Folder, command, names, tsdfuse};
 
 /// A sphere of 2 m, seen from 12 places around it, with noise of 1 cm.
 fn sphere(folder: &Folder) -> String {
@@ -69,6 +71,12 @@ fn methods_are_measured_against_the_truth_and_held_out_scans() {
         assert_eq!(row["scans_per_sec"].as_array().unwrap().len(), 2);
         let (_, triangles) = ply::read(&folder.path(&format!("out/{}.ply", row["name"].as_str().unwrap())));
         assert_eq!(row["triangles"], triangles);
+        // The command of a row makes its mesh again.
+        let command = row["command"].as_str().unwrap().replace("mesh.ply", "-");
+        let words: Vec<&str> = command.split(' ').skip(1).collect();
+        let again = tsdfuse(&words).succeeded().stdout;
+        let name = format!("out/{}.ply", row["name"].as_str().unwrap());
+        assert!(again == fs::read(folder.path(&name)).unwrap(), "{command}");
     }
     // A method that wants depth images is named with its reason.
     assert_eq!(results["failed"][0]["name"], "depth");
@@ -222,6 +230,97 @@ fn tuning_prefers_what_foretells_held_out_scans() {
         .map(|w| if w == "mesh.ply" { "-" } else { w })
         .collect();
     assert!(tsdfuse(&words).succeeded().stdout.len() > 100_000);
+}
+
+#[test]
+fn a_search_skips_what_cannot_be_used_only_if_it_may() {
+    let folder = Folder::new();
+    let set = sphere(&folder);
+    fs::write(folder.path("sphere/velodyne/000006.bin"), [1; 7]).unwrap();
+    let tune = [
+        "evaluate",
+        &set,
+        "--tune",
+        "--methods",
+        "raycast-projective",
+        "--json",
+        "--voxel-size",
+        "0.05",
+    ];
+    let told = tsdfuse(&tune);
+    assert_eq!(told.code, 1, "{}", told.stderr);
+    assert!(
+        told.stderr.contains("000006") && told.stderr.contains("no method could be used"),
+        "{}",
+        told.stderr
+    );
+    let run = tsdfuse(&[&tune[..], &["--skip-bad"]].concat());
+    assert_eq!(run.code, 3, "{}", run.stderr);
+    assert!(run.stderr.contains("000006 is skipped") || run.stderr.contains("000006.bin is skipped"), "{}", run.stderr);
+    let found = run.json();
+    assert_eq!((&found["scans"], found["skipped_scans"].as_array().unwrap().len()), (&12.into(), 1));
+    assert!(found["ranking"][0]["command"].as_str().unwrap().contains(" --skip-bad "));
+}
+
+#[test]
+fn results_go_neither_into_the_log_nor_over_what_is_read_and_leave_nothing_on_failure() {
+    let folder = Folder::new();
+    let set = sphere(&folder);
+    let before = names(&folder.path("sphere"));
+    let methods = ["--methods", "raycast", "--samples", "1000", "--runs", "1"];
+    let evaluate = |more: &[&str]| tsdfuse(&[&["evaluate", set.as_str()], &methods[..], more].concat());
+    for inside in ["sphere", "sphere/results"] {
+        let told = evaluate(&["-o", &folder.text(inside)]).failed(2);
+        assert!(told.contains("results do not go into the log"), "{told}");
+    }
+    assert_eq!(names(&folder.path("sphere")), before);
+    fs::create_dir(folder.path("out")).unwrap();
+    let config = folder.text("out/table.md");
+    fs::write(&config, "method = \"raycast\"\n").unwrap();
+    let told = evaluate(&["-o", &folder.text("out"), "--config", &config]).failed(2);
+    assert!(told.contains("would overwrite"), "{told}");
+    for (wrong, code) in [
+        (&["--margin", "0"][..], 2),
+        (&["--set", "map.voxel_size_m=-1"], 2),
+        (&["--reference", "nowhere.ply"], 1),
+        (&["--set", "mesh.min_weight=1e9"], 1),
+    ] {
+        let told = evaluate(&[&["-o", &folder.text("new")], wrong].concat());
+        assert_eq!(told.code, code, "{wrong:?}: {}", told.stderr);
+        assert!(!folder.path("new").exists(), "{wrong:?}");
+    }
+}
+
+/// What `evaluate` runs in a process of its own.
+#[test]
+fn a_job_comes_as_json_and_its_report_goes_as_json() {
+    let folder = Folder::new();
+    let set = sphere(&folder);
+    let run_job = |job: &str| {
+        let mut process = command(&["run-job"]).stdin(Stdio::piped()).spawn().unwrap();
+        process.stdin.take().unwrap().write_all(job.as_bytes()).unwrap();
+        process.wait_with_output().unwrap()
+    };
+    let mesh = folder.text("mesh.ply");
+    let job = serde_json::json!({
+        "input": { "path": set, "selection": { "from": 0, "to": 3, "step": 1, "hold_out": null } },
+        "settings": { "method": "raycast" },
+        "outputs": { "mesh": mesh },
+    });
+    let done = run_job(&job.to_string());
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let report: Value = serde_json::from_slice(&done.stdout).unwrap();
+    assert_eq!(report["Ok"]["totals"]["scans"], 3);
+    assert_eq!(
+        report["Ok"]["mesh"]["triangles"],
+        ply::read(&folder.path("mesh.ply")).1
+    );
+    let nowhere = run_job(&serde_json::json!({ "input": { "path": "nowhere" } }).to_string());
+    let told: Value = serde_json::from_slice(&nowhere.stdout).unwrap();
+    assert!(told["Err"].as_str().unwrap().contains("nowhere"), "{told}");
+    let broken = run_job("{");
+    let told = String::from_utf8(broken.stderr).unwrap();
+    assert!(broken.status.code() == Some(1) && told.contains("not a job"), "{told}");
 }
 
 #[test]

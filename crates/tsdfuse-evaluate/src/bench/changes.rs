@@ -132,8 +132,8 @@ impl Counts {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tsdfuse::glam::IVec3;
     use tsdfuse::MapConfig;
+    use tsdfuse::glam::IVec3;
     use tsdfuse::index::BlockIndex;
 
     fn map(weights: &[(i32, usize, u32)]) -> VoxelMap {

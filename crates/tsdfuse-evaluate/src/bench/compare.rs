@@ -120,7 +120,9 @@ impl Bench {
 
     /// Finds out before the work what cannot be.
     pub(crate) fn check(&self) -> Result<()> {
-        self.forms.iter().try_for_each(|form| form.over(&self.settings).map(drop))
+        self.forms
+            .iter()
+            .try_for_each(|form| form.over(&self.settings).map(drop))
     }
 
     /// Opens the log, and simulates it first where none is named.

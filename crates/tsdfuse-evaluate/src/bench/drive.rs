@@ -30,9 +30,8 @@ impl Street {
         let simulator = street::simulator(SENSOR, PASS)?;
         Ok(Arc::new(Self {
             sensor: Sensor {
-                name: SENSOR.to_owned(),
                 model: Some(simulator.sensor().clone()),
-                ..Sensor::default()
+                ..Sensor::new(SENSOR)
             },
             poses: simulator.path().to_vec(),
             scans: simulator.scans().collect(),

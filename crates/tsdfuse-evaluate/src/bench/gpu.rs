@@ -144,7 +144,10 @@ fn measure(
     let mut mesher = Mesher::new(&map)?;
     let mut renderer = Renderer::new(&map, &Default::default())?;
     let camera = Camera::Pinhole(Pinhole::with_fov(SIZE.0, SIZE.1, 1.2));
-    let pose = scans.get(scans.len() / 2).and_then(|scan| scan.pose).unwrap_or(Pose::IDENTITY);
+    let pose = scans
+        .get(scans.len() / 2)
+        .and_then(|scan| scan.pose)
+        .unwrap_or(Pose::IDENTITY);
     renderer.view(&map, &camera, pose)?;
     let views = if gpu.is_software() { 1 } else { VIEWS };
     let mut triangles = 0;

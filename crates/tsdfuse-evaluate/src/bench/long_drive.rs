@@ -124,7 +124,9 @@ impl LongDrive {
         let drive = Drive::new(&street, self.scans, config.map.voxel_size_m);
         let length_km = drive.length_m() / 1e3;
         let log = Log::new(drive);
-        let folder = tempfile::Builder::new().prefix(".tsdfuse-drive-").tempdir_in(&self.folder);
+        let folder = tempfile::Builder::new()
+            .prefix(".tsdfuse-drive-")
+            .tempdir_in(&self.folder);
         let folder = folder.map_err(Error::at(&self.folder))?;
         let setup = Setup {
             config: config.clone(),
@@ -181,7 +183,8 @@ impl Stored {
             with_commas(mesh.triangles as u64),
             mesh.seconds,
             mesh.write_seconds,
-            self.peak_memory_bytes.map_or_else(String::new, |bytes| binary(bytes as usize)),
+            self.peak_memory_bytes
+                .map_or_else(String::new, |bytes| binary(bytes as usize)),
         );
         if let Some(paging) = &self.paging {
             text += &format!(
