@@ -217,9 +217,9 @@ impl PagedMap {
     ///
     /// # Errors
     /// [`StoreError::BeyondReach`] if the method changed regions that are not in memory.
-    pub fn finish(&mut self, integrator: &mut dyn Integrator) -> Result<Integration> {
+    pub fn finish(&mut self, integrator: &mut dyn Integrator) -> Result<Integration, PagedError> {
         self.check_writable()?;
-        let done = integrator.finish(&mut self.map);
+        let done = integrator.finish(&mut self.map)?;
         self.settle(&done.updated_blocks)?;
         Ok(done)
     }
