@@ -8,7 +8,6 @@ use std::time::Instant;
 use anyhow::Result;
 use clap::ArgGroup;
 use clap::builder::PossibleValuesParser;
-use glam::DVec3;
 use serde::Serialize;
 use tsdfuse::SensorModel;
 use tsdfuse::render::{Camera, ImageKind, RenderConfig};
@@ -16,7 +15,6 @@ use tsdfuse::sensor::Pinhole;
 use tsdfuse_run::report::{MapReport, ViewReport};
 use tsdfuse_run::{Device, check_outputs, view};
 
-use crate::args::parse_triple;
 use crate::exit::{Outcome, Usage};
 use crate::output::print_json;
 use crate::progress::{self, note, say};
