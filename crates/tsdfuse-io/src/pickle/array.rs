@@ -56,9 +56,10 @@ impl<'a> Array<'a> {
     }
 
     fn convert<const N: usize>(&self, row: usize, number: impl Fn([u8; N]) -> f64) -> Vec<f64> {
-        let (from, step, skip) = match self.fortran_order {
-            true => (0, self.rows, row * N),
-            false => (row * self.len * N, 1, 0),
+        let (from, step, skip) = if self.fortran_order {
+            (0, self.rows, row * N)
+        } else {
+            (row * self.len * N, 1, 0)
         };
         let items = self.bytes.get(from..).unwrap_or_default().chunks_exact(step.max(1) * N);
         let item = |chunk: &[u8]| {

@@ -81,10 +81,10 @@ pub(crate) fn mask(path: &Path, bytes: &[u8], size: &ImageSize) -> Result<Vec<bo
             pixels.take(size.width as usize)
         })
         .collect();
-    match shown.contains(&true) {
-        true => Ok(shown),
-        false => Err(Error::format(path, "masks every pixel: it holds nothing but zeros")),
+    if !shown.contains(&true) {
+        return Err(Error::format(path, "masks every pixel: it holds nothing but zeros"));
     }
+    Ok(shown)
 }
 
 /// The bytes of a grey image of one of the bit depths, in PNG's order. Memory is taken only after type and size are checked.
