@@ -67,9 +67,9 @@ pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<Sensor> {
 
 /// A sensor that is called after its model.
 pub(super) fn of_model(model: Option<SensorModel>) -> Sensor {
-    let name = model.as_ref().map_or("lidar", |model| model.name.as_str());
+    let name = model.as_ref().map_or("lidar", |model| model.name.as_str()).to_owned();
     Sensor {
-        model: model.clone(),
+        model,
         ..Sensor::new(name)
     }
 }
