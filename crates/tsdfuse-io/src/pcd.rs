@@ -1,7 +1,7 @@
 //! PCD, the point clouds of PCL: `ascii`, `binary` and `binary_compressed`.
 //!
-//! The fields are those of [`columns`](crate::columns). Invalid points of organized clouds (NaN) stay in. A `VIEWPOINT`
-//! is where the sensor was in the world.
+//! [`columns`](crate::columns) says what the fields mean. Invalid points of organized clouds (NaN) are kept. `VIEWPOINT` is the
+//! pose of the sensor in the world.
 
 use std::path::Path;
 
@@ -16,11 +16,16 @@ mod lzf;
 
 use header::Encoding;
 pub(crate) use header::Header;
+use lzf::Decompress;
+
+/// The most compressed points that are read: 64 times what the largest sensors measure in one sweep. Compressed, a few megabytes
+/// can stand for billions of points; uncompressed, the file is as large as its points.
+const MAX_COMPRESSED: usize = 1 << 24;
 
 /// Parses a PCD file; `path` is for messages.
 ///
 /// # Errors
-/// Names the file and what its header promises but its bytes do not keep.
+/// Names the file and what is wrong: with its header, or with the bytes that should follow.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
     let header = Header::parse(path, bytes)?;
     let mut cloud = columns(path, bytes, &header)?.into_cloud(path)?;
@@ -28,7 +33,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
     Ok(cloud)
 }
 
-/// Parses the points of a PCD file alone, with all their digits.
+/// Parses only the positions of a PCD file, in double precision.
 ///
 /// # Errors
 /// As [`parse`].
@@ -62,16 +67,7 @@ fn columns(path: &Path, bytes: &[u8], header: &Header) -> Result<Columns> {
                 );
             }
         }
-        Encoding::Compressed => {
-            let body = decompress(path, header, body)?;
-            for (field, scalar, values) in columns.each() {
-                // Field after field, each for all points. Only the first of a field's numbers counts.
-                let field = &header.fields[field];
-                let start = field.offset * header.points;
-                let of_field = body.get(start..start + field.size * header.points).unwrap_or_default();
-                values.extend(of_field.chunks_exact(field.size).filter_map(|v| scalar.read(v)));
-            }
-        }
+        Encoding::Compressed => compressed(path, header, body, &mut columns)?,
     }
     Ok(columns)
 }
@@ -94,7 +90,9 @@ fn ascii(path: &Path, header: &Header, body: &[u8], columns: &mut Columns) -> Re
     Ok(())
 }
 
-fn decompress(path: &Path, header: &Header, body: &[u8]) -> Result<Vec<u8>> {
+/// Reads compressed points, which are stored field after field, each for all points. They are decompressed piece by piece, and
+/// only the columns are kept. Only the first number of a field counts.
+fn compressed(path: &Path, header: &Header, body: &[u8], columns: &mut Columns) -> Result<()> {
     let wrong = |what: &str| Error::format(path, format!("its compressed points {what}"));
     let size = |at: usize| {
         let bytes = body.get(at..)?.first_chunk()?;
@@ -103,17 +101,42 @@ fn decompress(path: &Path, header: &Header, body: &[u8]) -> Result<Vec<u8>> {
     let (Some(packed), Some(unpacked)) = (size(0), size(4)) else {
         return Err(wrong("are missing"));
     };
-    if header.points.checked_mul(header.stride) != Some(unpacked) {
+    let points = header.points;
+    if points.checked_mul(header.stride) != Some(unpacked) {
         return Err(wrong(&format!(
-            "are {unpacked} bytes for {} points of {}",
-            header.points, header.stride
+            "are {unpacked} bytes for {points} points of {}",
+            header.stride
         )));
+    }
+    if points > MAX_COMPRESSED {
+        let reason =
+            format!("has {points} compressed points; more than {MAX_COMPRESSED} are read only with DATA binary");
+        return Err(Error::format(path, reason));
     }
     let packed = body
         .get(8..)
         .and_then(|rest| rest.get(..packed))
         .ok_or_else(|| wrong("are truncated"))?;
-    lzf::decompress(packed, unpacked).ok_or_else(|| wrong("are damaged"))
+    let mut of_fields: Vec<_> = header.fields.iter().map(|_| None).collect();
+    for (field, scalar, values) in columns.each() {
+        of_fields[field] = Some((scalar, values));
+    }
+    let read = || {
+        let mut bytes = Decompress::new(packed, unpacked)?;
+        for (field, column) in header.fields.iter().zip(of_fields) {
+            let Some((scalar, values)) = column else {
+                bytes.skip(field.size * points)?;
+                continue;
+            };
+            values.reserve_exact(points);
+            for _ in 0..points {
+                values.push(scalar.read(bytes.take(scalar.size())?)?);
+                bytes.skip(field.size - scalar.size())?;
+            }
+        }
+        bytes.is_at_end().then_some(())
+    };
+    read().ok_or_else(|| wrong("are damaged"))
 }
 
 #[cfg(test)]

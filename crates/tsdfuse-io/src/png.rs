@@ -1,4 +1,4 @@
-//! Pictures as PNG files. Only written here: depth images are read by [`crate::rgbd`].
+//! Writes pictures as PNG files. [`crate::rgbd`] reads depth images.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -18,22 +18,23 @@ pub fn write(path: impl AsRef<Path>, image: &Image) -> Result<()> {
     atomic::write(path, |file| write_to(file, image))
 }
 
-/// Finds out before the work whether [`write()`] writes to this path.
+/// Checks that [`write()`] accepts this path, so that a wrong extension is reported before the work is done.
 ///
 /// # Errors
 /// Names the file.
 pub fn check(path: impl AsRef<Path>) -> Result<()> {
     let path = path.as_ref();
-    match path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
-        true => Ok(()),
-        false => Err(Error::dataset(path, "a picture is written as .png")),
+    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+        Ok(())
+    } else {
+        Err(Error::dataset(path, "a picture is written as .png"))
     }
 }
 
-/// A picture as the bytes of a PNG file.
+/// Encodes a picture as a PNG file in memory.
 ///
 /// # Errors
-/// If it has more pixels in a row than PNG can count, or other pixels than its size says.
+/// The picture is wider or higher than PNG can store, or the number of its pixels is not width times height.
 pub fn encode(image: &Image) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     write_to(&mut bytes, image).map_err(Error::io("a picture"))?;

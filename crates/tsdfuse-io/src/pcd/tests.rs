@@ -125,6 +125,21 @@ fn a_header_that_lies_is_told_so() {
             format!("a.pcd: {message}")
         );
     }
+    // A header's word reserves nothing, and a few bytes do not become billions of points.
+    for (points, message) in [
+        (
+            "16777217",
+            "has 16777217 compressed points; more than 16777216 are read only with DATA binary",
+        ),
+        ("16777216", "its compressed points are damaged"),
+    ] {
+        let mut bomb = header(points, "binary_compressed").into_bytes();
+        let size: u32 = points.parse().unwrap();
+        bomb.extend([100, 0, 0, 0]);
+        bomb.extend((size * 22).to_le_bytes());
+        bomb.extend([0xff; 100]);
+        assert_eq!(read(&bomb).unwrap_err(), format!("a.pcd: {message}"));
+    }
     let mut damaged = samples()[2].clone();
     let at = damaged.len() - 20;
     damaged[at] ^= 0xff;

@@ -1,12 +1,12 @@
 //! Pickled pandas DataFrames, read without executing anything.
 //!
-//! A pickle is a program for a stack machine. [`machine`] runs it, but where Python would call a function it only notes
-//! down "this class, these arguments, this state" in a [`graph`]; classes that a DataFrame does not need are refused by
+//! A pickle is a program for a stack machine. [`machine`] runs it, but where Python would call a function it only records
+//! "this class, these arguments, this state" in a [`graph`]. Classes that a DataFrame does not need are refused by
 //! name. [`frame`] then finds the columns in that graph, in any of the layouts pandas has used (0.25 to 3.0), and [`array`]
-//! reads numbers from the bytes where they lie.
+//! reads the numbers in place.
 //!
-//! Every operation takes at least one byte of input and makes at most one value; their number is bounded, as is the
-//! size to which a compressed file may grow.
+//! Every operation takes at least one byte of input and makes at most one value. The number of operations is bounded, and so is
+//! the size of the decompressed file.
 
 mod array;
 mod frame;
@@ -22,10 +22,11 @@ pub(crate) use frame::DataFrame;
 
 use crate::error::{Error, Result};
 
-/// A scan has some 10 MB. More than this is no scan.
-const MAX_BYTES: u64 = 1 << 30;
+/// The most bytes that a pickle may have, also after decompression. A PandaSet sweep has some 10 MB; the largest table that
+/// [`frame`] accepts fits. A gzip file of one megabyte can decompress to a gigabyte.
+const MAX_BYTES: u64 = 1 << 28;
 
-/// The bytes of a pickle, decompressed if it is a gzip file.
+/// Reads a pickle, and decompresses it if it is a gzip file.
 pub(crate) fn load(path: &Path) -> Result<Vec<u8>> {
     let file = std::fs::File::open(path).map_err(Error::io(path))?;
     let stored = read_at_most(file, MAX_BYTES, 0).map_err(|reason| Error::format(path, reason))?;

@@ -8,6 +8,10 @@ use tsdfuse::sensor::Pinhole;
 
 use crate::error::{Error, Result};
 
+/// The most pixels that a depth image may have, as many as 4096 x 4096. Depth cameras have a few million; a PNG of a few
+/// megabytes can decode to hundreds of millions.
+const MAX_PIXELS: u64 = 1 << 24;
+
 /// How large all images of a data set are, and which file says so.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ImageSize {
@@ -21,7 +25,7 @@ impl ImageSize {
     /// Reads the header of an image.
     ///
     /// # Errors
-    /// Names the file: it is no PNG, or no camera has images of that size.
+    /// Names the file: it is no PNG, or no depth camera has images of that size.
     pub(crate) fn read(path: &Path, bytes: &[u8]) -> Result<Self> {
         let mut decoder = decoder(path, bytes)?;
         let (width, height) = decoder.read_header_info().map_err(wrong(path))?.size();
@@ -35,6 +39,7 @@ impl ImageSize {
             cy,
         };
         some_camera.check().map_err(|e| Error::format(path, e.to_string()))?;
+        check_pixels(path, width, height)?;
         Ok(Self {
             width,
             height,
@@ -81,10 +86,10 @@ pub(crate) fn mask(path: &Path, bytes: &[u8], size: &ImageSize) -> Result<Vec<bo
             pixels.take(size.width as usize)
         })
         .collect();
-    match shown.contains(&true) {
-        true => Ok(shown),
-        false => Err(Error::format(path, "masks every pixel: it holds nothing but zeros")),
+    if !shown.contains(&true) {
+        return Err(Error::format(path, "masks every pixel: it holds nothing but zeros"));
     }
+    Ok(shown)
 }
 
 /// The bytes of a grey image of one of the bit depths, in PNG's order. Memory is taken only after type and size are checked.
@@ -115,6 +120,7 @@ fn decode(
         let reason = format!("is {is_width} x {is_height} pixels where {by} has {width} x {height}");
         return Err(Error::format(path, reason));
     }
+    check_pixels(path, *width, *height)?;
     let row_bytes = (*width as usize * bits as usize).div_ceil(8);
     let mut pixels = vec![0; row_bytes * *height as usize];
     let mut reader = decoder.read_info().map_err(wrong(path))?;
@@ -125,6 +131,15 @@ fn decode(
     }
     reader.finish().map_err(wrong(path))?;
     Ok((bits, pixels))
+}
+
+/// Refuses an image before memory is allocated for its pixels.
+fn check_pixels(path: &Path, width: u32, height: u32) -> Result<()> {
+    if u64::from(width) * u64::from(height) <= MAX_PIXELS {
+        return Ok(());
+    }
+    let reason = format!("is {width} x {height} pixels; a depth image has at most {MAX_PIXELS}");
+    Err(Error::format(path, reason))
 }
 
 fn decoder<'a>(path: &Path, bytes: &'a [u8]) -> Result<Decoder<Cursor<&'a [u8]>>> {

@@ -1,5 +1,6 @@
 //! What is wrong is told in one line that names the file.
 
+use super::super::image::{self, ImageSize};
 use super::*;
 
 const DEPTH: &str = "frame-000005.depth.png";
@@ -84,14 +85,39 @@ fn truncated_and_damaged_images() {
     assert!(with(DEPTH, &damaged).starts_with(&format!("DIR/{DEPTH}: is a damaged PNG: ")));
 }
 
+/// A whole header with its checksum, and no pixels.
+fn header_of(edge: u32) -> Vec<u8> {
+    let mut bytes = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR".to_vec();
+    bytes.extend([edge.to_be_bytes(), edge.to_be_bytes()].concat());
+    bytes.extend([16, 0, 0, 0, 0]);
+    bytes.extend(crc32fast::hash(&bytes[12..]).to_be_bytes());
+    bytes
+}
+
+#[test]
+fn an_image_of_more_pixels_than_a_depth_camera_has() {
+    let told = with("frame-000000.depth.png", header_of(16_384));
+    assert_eq!(
+        told,
+        "DIR/frame-000000.depth.png: is 16384 x 16384 pixels; a depth image has at most 16777216"
+    );
+    // Nor if camera.toml says so, too.
+    let size = ImageSize {
+        width: 4097,
+        height: 4097,
+        by: "camera.toml".to_owned(),
+    };
+    let told = image::depths(Path::new("a.png"), &header_of(4097), &size).unwrap_err();
+    assert_eq!(
+        told.to_string(),
+        "a.png: is 4097 x 4097 pixels; a depth image has at most 16777216"
+    );
+}
+
 #[test]
 fn a_header_that_claims_a_huge_image() {
     for edge in [20_000_u32, 0x7fff_ffff, u32::MAX] {
-        // A whole header with its checksum, and no pixels.
-        let mut bytes = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR".to_vec();
-        bytes.extend([edge.to_be_bytes(), edge.to_be_bytes()].concat());
-        bytes.extend([16, 0, 0, 0, 0]);
-        bytes.extend(crc32fast::hash(&bytes[12..]).to_be_bytes());
+        let bytes = header_of(edge);
         let told = with("frame-000000.depth.png", &bytes);
         assert!(told.starts_with("DIR/frame-000000.depth.png: "), "{told}");
         assert!(
