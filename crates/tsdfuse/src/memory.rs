@@ -1,9 +1,12 @@
-//! Memory: had in large pages, and asked for before it is needed. The only `unsafe` of this crate.
+//! Block storage in 2 MiB pages, and prefetching. The only `unsafe` of this crate.
 //!
-//! A map of voxels grows by some megabytes with each scan. Had from a usual allocator, each page of 4 KiB of it is a
-//! trip to the system's kernel of its own, and an entry of its own in the CPU's table of addresses, which is far too short for
-//! hundreds of megabytes that are visited at random. So blocks are taken from chunks that are mapped at once, in pages of
-//! 2 MiB where the system has such.
+//! A map grows by some megabytes with each scan. From a usual allocator, each page of 4 KiB of it would cost a page fault, and an
+//! entry in the CPU's address cache (TLB), which is far too small for hundreds of megabytes that are visited at random. So blocks
+//! come from chunks that are mapped at once, in pages of 2 MiB where the system has them.
+//!
+//! Memory is limited ([`Pool::set_limit`]). Where a map asks for more, or the system has no more, it gets [`OutOfMemory`].
+
+mod limit;
 
 use std::{
     alloc::{Layout, handle_alloc_error},
@@ -18,19 +21,21 @@ use memmap2::{MmapOptions, MmapRaw};
 use rustc_hash::FxBuildHasher;
 
 use crate::map::Block;
+pub use limit::OutOfMemory;
+use limit::default_limit;
 
-/// Tells the CPU that a value will soon be changed, so that it fetches the value's cache line meanwhile. A hint; does nothing on
-/// CPUs for which no instruction is known here.
+/// Tells the CPU to fetch the cache line of a value that will soon be changed. Only a hint: it does nothing on CPUs for which no
+/// instruction is known here.
 #[allow(unsafe_code)]
 #[inline(always)]
 pub(crate) fn prefetch<T>(value: &T) {
-    // SAFETY: the instruction reads and writes nothing and never faults, whatever the address; this one is a reference's.
+    // SAFETY: the instruction reads and writes nothing and never faults, whatever the address; here it is that of a reference.
     #[cfg(target_arch = "x86_64")]
     unsafe {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
         _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast());
     }
-    // SAFETY: as above; it has no operands but the address and changes no flags and no memory.
+    // SAFETY: as above; the address is its only operand, and it changes neither flags nor memory.
     #[cfg(target_arch = "aarch64")]
     unsafe {
         std::arch::asm!("prfm pstl1keep, [{}]", in(reg) std::ptr::from_ref(value), options(nostack, readonly, preserves_flags));
@@ -39,22 +44,23 @@ pub(crate) fn prefetch<T>(value: &T) {
     let _ = value;
 }
 
-/// The blocks of one part of a map, by number. They never move; whole slabs of them can be taken out and put in.
+/// The blocks of one part of a map, by number. Blocks never move; whole slabs of them can be taken out and put in.
 #[derive(Debug, Default)]
 pub(crate) struct Blocks {
-    /// `None` where one was taken out.
+    /// `None` where a slab was taken out.
     slabs: Vec<Option<Slab>>,
-    /// Numbers of those.
+    /// The places of those.
     free: Vec<u32>,
     pool: Arc<Pool>,
 }
 
 impl Blocks {
-    /// None yet; memory comes from a pool.
+    /// No blocks yet; memory will come from `pool`.
     pub(crate) fn of(pool: &Arc<Pool>) -> Self {
         Self {
+            slabs: Vec::new(),
+            free: Vec::new(),
             pool: Arc::clone(pool),
-            ..Self::default()
         }
     }
 
@@ -64,13 +70,13 @@ impl Blocks {
         SLAB_BLOCKS * self.slabs.len()
     }
 
-    /// Adds a slab of empty ones; the number of the first.
-    pub(crate) fn push(&mut self) -> u32 {
-        let slab = self.pool.slab();
-        self.put(slab)
+    /// Adds a slab of empty blocks and returns the number of the first.
+    pub(crate) fn push(&mut self) -> Result<u32, OutOfMemory> {
+        let slab = self.pool.slab()?;
+        Ok(self.put(slab))
     }
 
-    /// Adds a slab; the number of its first block.
+    /// Adds a slab and returns the number of its first block.
     pub(crate) fn put(&mut self, slab: Slab) -> u32 {
         let number = self.free.pop().unwrap_or_else(|| {
             self.slabs.push(None);
@@ -88,29 +94,41 @@ impl Blocks {
         Some(slab)
     }
 
-    /// One of them; `None` where its slab was taken out.
+    /// The block with a number; `None` where its slab was taken out.
     #[inline]
     pub(crate) fn get(&self, number: usize) -> Option<&Block> {
         let slab = self.slabs.get(number / SLAB_BLOCKS)?.as_ref()?;
         Some(&slab[number % SLAB_BLOCKS])
     }
 
-    /// All of them, those that were never asked for included.
+    /// All blocks, also those of a slab that nobody asked for yet.
     pub(crate) fn iter(&self) -> impl Iterator<Item = &Block> {
         self.slabs.iter().flatten().flat_map(|slab| slab.iter())
     }
 
-    /// Memory that they take, room for some more included.
+    /// Bytes of memory that the blocks take, with the room for more in the last slabs.
     pub(crate) fn memory_bytes(&self) -> usize {
-        let there = self.slabs.len() - self.free.len();
-        there * SLAB_BYTES + self.slabs.len() * size_of::<Slab>()
+        self.slab_count() * SLAB_BYTES + self.slabs.len() * size_of::<Slab>()
+    }
+
+    /// The error of a map that gets no memory for its tables.
+    pub(crate) fn exhausted(&self) -> OutOfMemory {
+        let map_bytes = self.pool.lock().used;
+        OutOfMemory::System { map_bytes }
+    }
+
+    fn slab_count(&self) -> usize {
+        self.slabs.len() - self.free.len()
     }
 }
 
-/// What a release build shows in place of a slab that was taken out.
-static TAKEN_OUT: Block = Block::EMPTY;
+/// Indexing into a slab that was taken out is a mistake of the caller.
+#[cold]
+#[inline(never)]
+fn taken_out(number: usize) -> ! {
+    unreachable!("block {number} is in a slab that was taken out")
+}
 
-/// Indexing into a slab that was taken out is a mistake of the caller, which debug builds catch; a release build yields an empty block.
 impl Index<usize> for Blocks {
     type Output = Block;
 
@@ -118,10 +136,7 @@ impl Index<usize> for Blocks {
     fn index(&self, number: usize) -> &Block {
         match &self.slabs[number / SLAB_BLOCKS] {
             Some(slab) => &slab[number % SLAB_BLOCKS],
-            None => {
-                debug_assert!(false, "block {number} is in a slab that was taken out");
-                &TAKEN_OUT
-            }
+            None => taken_out(number),
         }
     }
 }
@@ -129,17 +144,20 @@ impl Index<usize> for Blocks {
 impl IndexMut<usize> for Blocks {
     #[inline(always)]
     fn index_mut(&mut self, number: usize) -> &mut Block {
-        let slab = &mut self.slabs[number / SLAB_BLOCKS];
-        debug_assert!(slab.is_some(), "block {number} is in a slab that was taken out");
-        let slab = slab.get_or_insert_with(|| self.pool.slab());
-        &mut slab[number % SLAB_BLOCKS]
+        match &mut self.slabs[number / SLAB_BLOCKS] {
+            Some(slab) => &mut slab[number % SLAB_BLOCKS],
+            None => taken_out(number),
+        }
     }
 }
 
 impl Clone for Blocks {
+    /// The limit does not apply to a copy. As with a vector, the program ends if there is no memory for it.
     fn clone(&self) -> Self {
         let copy = |slab: &Slab| {
-            let mut new = self.pool.slab();
+            let Ok(mut new) = self.pool.slab_within(usize::MAX) else {
+                handle_alloc_error(Layout::new::<[Block; SLAB_BLOCKS]>());
+            };
             new.clone_from_slice(&slab[..]);
             new
         };
@@ -151,11 +169,17 @@ impl Clone for Blocks {
     }
 }
 
-/// Blocks that are had at a time: 32 KiB, all of one region of a map.
+impl Drop for Blocks {
+    fn drop(&mut self) {
+        self.pool.lock().release(self.slab_count());
+    }
+}
+
+/// Blocks in a slab: 32 KiB, all of one region of a map.
 pub(crate) const SLAB_BLOCKS: usize = 8;
 const SLAB_BYTES: usize = size_of::<[Block; SLAB_BLOCKS]>();
 
-/// A large page, and the least and the most that is mapped at a time.
+/// A large page, which is the first chunk, and the largest chunk.
 const PAGE_BYTES: usize = 2 << 20;
 const MAX_CHUNK_BYTES: usize = 64 << 20;
 
@@ -163,12 +187,27 @@ const MAX_CHUNK_BYTES: usize = 64 << 20;
 #[derive(Debug, Default)]
 pub(crate) struct Pool(Mutex<Stock>);
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Stock {
     last: Option<Chunk>,
-    /// Slabs to give away again, and how many there were when last it was seen whether whole chunks are among them.
+    /// Slabs to be used again, and how many there were when it was last checked whether they make up whole chunks.
     free: Vec<Slab>,
     kept: usize,
+    /// Bytes of the slabs in use, and how many they may be.
+    used: usize,
+    limit: usize,
+}
+
+impl Default for Stock {
+    fn default() -> Self {
+        Self {
+            last: None,
+            free: Vec::new(),
+            kept: 0,
+            used: 0,
+            limit: default_limit(),
+        }
+    }
 }
 
 /// Mapped memory, of which slabs were given away up to `next`.
@@ -181,20 +220,36 @@ struct Chunk {
 }
 
 impl Pool {
-    /// Empty blocks.
-    pub(crate) fn slab(&self) -> Slab {
-        let again = self.lock().free.pop();
-        if let Some(mut slab) = again {
-            slab.fill(Block::EMPTY);
-            return slab;
-        }
-        self.lock().slab()
+    /// Bytes that slabs in use may take.
+    pub(crate) fn limit(&self) -> usize {
+        self.lock().limit
     }
 
-    /// Takes back slabs. Memory that is no longer in use at all goes back to the system.
+    /// Sets [`Self::limit`]. Slabs that are in use stay so.
+    pub(crate) fn set_limit(&self, bytes: usize) {
+        self.lock().limit = bytes;
+    }
+
+    /// A slab of empty blocks.
+    pub(crate) fn slab(&self) -> Result<Slab, OutOfMemory> {
+        self.slab_within(self.limit())
+    }
+
+    fn slab_within(&self, limit_bytes: usize) -> Result<Slab, OutOfMemory> {
+        let (mut slab, is_new) = self.lock().slab(limit_bytes)?;
+        if !is_new {
+            slab.fill(Block::EMPTY);
+        }
+        Ok(slab)
+    }
+
+    /// Takes back slabs. Chunks of which nothing is in use go back to the system.
     pub(crate) fn give_back(&self, slabs: impl IntoIterator<Item = Slab>) {
         let mut stock = self.lock();
+        let before = stock.free.len();
         stock.free.extend(slabs);
+        let count = stock.free.len() - before;
+        stock.release(count);
         if stock.free.len() * SLAB_BYTES >= MAX_CHUNK_BYTES && stock.free.len() >= 2 * stock.kept {
             stock.tidy();
         }
@@ -207,28 +262,49 @@ impl Pool {
 }
 
 impl Stock {
-    /// A slab of new memory.
-    #[allow(unsafe_code)]
-    fn slab(&mut self) -> Slab {
-        let chunk = match self.last.take() {
-            Some(chunk) if chunk.next + SLAB_BYTES <= chunk.end => chunk,
-            last => Chunk::map(last.map_or(PAGE_BYTES, |last| (2 * last.bytes).min(MAX_CHUNK_BYTES))),
+    /// A slab, and whether its memory is new: then its blocks are empty.
+    fn slab(&mut self, limit_bytes: usize) -> Result<(Slab, bool), OutOfMemory> {
+        let used = self.used + SLAB_BYTES;
+        if used > limit_bytes {
+            return Err(OutOfMemory::Limit { limit_bytes });
+        }
+        let slab = match self.free.pop() {
+            Some(slab) => (slab, false),
+            None => (self.new_slab()?, true),
         };
-        let (start, memory) = (chunk.next, Arc::clone(&chunk.memory));
-        self.last = Some(Chunk {
-            next: start + SLAB_BYTES,
-            ..chunk
-        });
+        self.used = used;
+        Ok(slab)
+    }
+
+    /// Counts slabs as no longer in use.
+    fn release(&mut self, slabs: usize) {
+        // A region of another map's pool was not counted by this one.
+        self.used = self.used.saturating_sub(slabs * SLAB_BYTES);
+    }
+
+    #[allow(unsafe_code)]
+    fn new_slab(&mut self) -> Result<Slab, OutOfMemory> {
+        let mut chunk = match self.last.take() {
+            Some(chunk) if chunk.next + SLAB_BYTES <= chunk.end => chunk,
+            last => {
+                let bytes = last.map_or(PAGE_BYTES, |last| (2 * last.bytes).min(MAX_CHUNK_BYTES));
+                Chunk::map(bytes).ok_or(OutOfMemory::System { map_bytes: self.used })?
+            }
+        };
+        let start = chunk.next;
+        chunk.next += SLAB_BYTES;
+        let memory = Arc::clone(&chunk.memory);
+        self.last = Some(chunk);
         // SAFETY: the bytes from `start` on are within the mapping, since `end` is and `next` never exceeds it.
         let blocks = unsafe { memory.as_mut_ptr().add(start) };
-        Slab {
+        Ok(Slab {
             // SAFETY: not null, since the system maps nothing there.
             blocks: unsafe { NonNull::new_unchecked(blocks.cast()) },
             memory,
-        }
+        })
     }
 
-    /// Drops the slabs of chunks that no other slabs are in use of, and so the chunks.
+    /// Drops the slabs of chunks of which no slab is in use, and so these chunks.
     fn tidy(&mut self) {
         let mut free = HashMap::<_, usize, FxBuildHasher>::default();
         for slab in &self.free {
@@ -240,7 +316,7 @@ impl Stock {
             let known = free.get(&memory).copied().unwrap_or_default() + usize::from(last == Some(memory));
             Arc::strong_count(&slab.memory) > known
         };
-        // First all are judged: dropping one changes the count.
+        // All are judged before any is dropped, because dropping one changes the count.
         let judged: Vec<bool> = self.free.iter().map(in_use).collect();
         let mut judged = judged.into_iter();
         self.free.retain(|_| judged.next().unwrap_or(true));
@@ -249,31 +325,28 @@ impl Stock {
 }
 
 impl Chunk {
-    /// Maps new memory, all zero. As with a vector, the program ends if there is none.
-    fn map(bytes: usize) -> Self {
+    /// Maps new memory, all zero; `None` if the system refuses.
+    fn map(bytes: usize) -> Option<Self> {
         // Some more, so that a large page can start in it; what is not touched costs nothing.
-        let len = bytes + PAGE_BYTES;
-        let Ok(memory) = MmapOptions::new().len(len).map_anon() else {
-            handle_alloc_error(Layout::new::<[Block; SLAB_BLOCKS]>());
-        };
-        // Only advice: what comes of it is the system's business.
+        let memory = MmapOptions::new().len(bytes + PAGE_BYTES).map_anon().ok()?;
+        // Only advice, which the system may ignore.
         #[cfg(target_os = "linux")]
         let _ = memory.advise(memmap2::Advice::HugePage);
         let memory = MmapRaw::from(memory);
         let next = memory.as_ptr().align_offset(PAGE_BYTES);
-        Self {
+        Some(Self {
             memory: Arc::new(memory),
             next,
             end: next + bytes,
             bytes,
-        }
+        })
     }
 }
 
 /// Blocks side by side, on whole cache lines, empty at first.
 pub(crate) struct Slab {
     blocks: NonNull<[Block; SLAB_BLOCKS]>,
-    /// Where they are, as long as any of its slabs is left.
+    /// The mapping that they lie in; it lasts as long as any slab of it.
     memory: Arc<MmapRaw>,
 }
 
@@ -326,7 +399,7 @@ mod tests {
         let mut parts = [Blocks::of(&pool), Blocks::of(&pool)];
         for first in (0..2504).step_by(SLAB_BLOCKS) {
             for (p, part) in parts.iter_mut().enumerate() {
-                assert_eq!(part.push() as usize, first);
+                assert_eq!(part.push().unwrap() as usize, first);
                 for number in first..first + SLAB_BLOCKS {
                     assert_eq!(std::ptr::from_ref(&part[number]).align_offset(64), 0);
                     assert!(part[number] == Block::EMPTY, "{number}");
@@ -336,7 +409,7 @@ mod tests {
         }
         let copy = parts[0].clone();
         for part in &mut parts {
-            part.push();
+            part.push().unwrap();
             assert!(part[2504] == Block::EMPTY);
         }
         for (p, part) in [(0, &parts[0]), (1, &parts[1]), (0, &copy)] {
@@ -358,7 +431,7 @@ mod tests {
         let pool = Arc::default();
         let (mut one, mut other) = (Blocks::of(&pool), Blocks::of(&pool));
         for slab in 0..10 {
-            let first = one.push() as usize;
+            let first = one.push().unwrap() as usize;
             (first..first + SLAB_BLOCKS).for_each(|n| one[n].voxels.iter_mut().for_each(|v| marked(v, slab)));
         }
         let (all, at) = (one.memory_bytes(), std::ptr::from_ref(&one[24]));
@@ -371,7 +444,7 @@ mod tests {
         assert_eq!(std::ptr::from_ref(&other[0]), at);
         // and, given back, empty again; its number too is used again.
         pool.give_back(other.take(0));
-        assert_eq!(one.push(), 24);
+        assert_eq!(one.push(), Ok(24));
         assert!(std::ptr::eq(&one[24], at) && (24..32).all(|n| one[n] == Block::EMPTY));
         assert!((0..80).filter(|n| n / 8 != 3).all(|n| marks_of(&one[n]) == [n / 8; 2]));
     }
@@ -391,7 +464,7 @@ mod tests {
         let mut blocks = Blocks::of(&pool);
         // Chunks of 2, 4, … 64 MiB and one more of 64.
         let slabs = (2 * MAX_CHUNK_BYTES - PAGE_BYTES + MAX_CHUNK_BYTES) / SLAB_BYTES;
-        let numbers: Vec<u32> = (0..slabs).map(|_| blocks.push()).collect();
+        let numbers: Vec<u32> = (0..slabs).map(|_| blocks.push().unwrap()).collect();
         let memories: Vec<_> = blocks
             .slabs
             .iter()
@@ -409,7 +482,7 @@ mod tests {
         // The last chunk is what comes next.
         assert_eq!(mapped, PAGE_BYTES / SLAB_BYTES + MAX_CHUNK_BYTES / SLAB_BYTES);
         // What is left is used again.
-        let last = blocks.push();
+        let last = blocks.push().unwrap();
         assert!(blocks[last as usize] == Block::EMPTY);
         assert_eq!(pool.lock().free.len(), PAGE_BYTES / SLAB_BYTES - 2);
     }
@@ -419,8 +492,8 @@ mod tests {
         let pool = Arc::default();
         let (mut kept, mut dropped) = (Blocks::of(&pool), Blocks::of(&pool));
         for number in 0..100 {
-            kept.push();
-            dropped.push();
+            kept.push().unwrap();
+            dropped.push().unwrap();
             marked(&mut kept[8 * number].voxels[7], number);
         }
         let last = pool.lock().last.as_ref().map(|chunk| Arc::downgrade(&chunk.memory));
@@ -434,11 +507,45 @@ mod tests {
     }
 
     #[test]
-    #[cfg(debug_assertions)]
+    fn a_pool_gives_no_more_than_its_limit() {
+        let pool: Arc<Pool> = Arc::default();
+        assert_eq!(pool.limit(), default_limit());
+        let limit_bytes = 10 * SLAB_BYTES + 1;
+        pool.set_limit(limit_bytes);
+        let full = Err(OutOfMemory::Limit { limit_bytes });
+        let (mut one, mut other) = (Blocks::of(&pool), Blocks::of(&pool));
+        (0..6).for_each(|_| _ = one.push().unwrap());
+        (0..4).for_each(|_| _ = other.push().unwrap());
+        // What fails changes nothing.
+        assert_eq!((one.push(), other.push(), one.len(), other.len()), (full, full, 48, 32));
+        // What moves to another part stays in use; what is given back or dropped does not.
+        let moved = one.take(8).unwrap();
+        assert_eq!(one.push(), full);
+        other.put(moved);
+        assert_eq!(one.push(), full);
+        pool.give_back(other.take(0));
+        assert_eq!((one.push(), one.push()), (Ok(8), full));
+        drop(other);
+        (0..4).for_each(|_| _ = one.push().unwrap());
+        assert_eq!(one.push(), full);
+        // A copy is made beyond the limit, and no longer counts once it is gone.
+        drop(one.clone());
+        assert_eq!(pool.lock().used, 10 * SLAB_BYTES);
+        assert_eq!(
+            one.exhausted(),
+            OutOfMemory::System {
+                map_bytes: 10 * SLAB_BYTES
+            }
+        );
+        drop(one);
+        assert_eq!(pool.lock().used, 0);
+    }
+
+    #[test]
     #[should_panic(expected = "block 9 is in a slab that was taken out")]
     fn a_block_that_was_taken_out_is_not_given() {
         let mut blocks = Blocks::default();
-        (0..2).for_each(|_| _ = blocks.push());
+        (0..2).for_each(|_| _ = blocks.push().unwrap());
         drop(blocks.take(8));
         let _ = &blocks[9];
     }

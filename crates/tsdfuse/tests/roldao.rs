@@ -38,7 +38,7 @@ fn fuse_with(scans: &[Scan], config: RoldaoConfig) -> (VoxelMap, Vec<Integration
     let mut map = VoxelMap::new(MAP).unwrap();
     let mut method = Roldao::new(config);
     let mut done: Vec<_> = scans.iter().map(|s| method.integrate(&mut map, s).unwrap()).collect();
-    done.push(method.finish(&mut map));
+    done.push(method.finish(&mut map).unwrap());
     (map, done)
 }
 
@@ -229,12 +229,12 @@ fn a_batch_is_written_at_its_end_and_once() {
         assert_eq!((done.fused_returns, done.updated_blocks.len()), (2000, 0));
         assert_eq!(map.block_count(), 0);
     }
-    let mut updated = method.finish(&mut map).updated_blocks;
+    let mut updated = method.finish(&mut map).unwrap().updated_blocks;
     updated.sort();
     assert_eq!(updated, map.block_indices());
     assert!(map == fuse(&scans, Form::Batch));
     let written = map.clone();
-    assert_eq!(method.finish(&mut map).updated_blocks.len(), 0);
+    assert_eq!(method.finish(&mut map).unwrap().updated_blocks.len(), 0);
     assert!(map == written);
 }
 

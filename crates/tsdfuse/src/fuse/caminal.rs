@@ -119,7 +119,7 @@ impl Integrator for Caminal {
             (seen, hidden) = (seen + sees, hidden + hides);
         }
         let prepare_secs = start.elapsed().as_secs_f64();
-        let mut done = depth::integrate(map, anchor, &views, &mut self.gather);
+        let mut done = depth::integrate(map, anchor, &views, &mut self.gather)?;
         // On the border between two cameras rounding may show a return to both.
         let seen = seen.min(placed.len() as u64);
         done.fused_returns = seen - hidden.min(seen);

@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     index::{Anchor, BlockIndex},
-    map::{MapConfig, VoxelMap},
+    map::{MapConfig, OutOfMemory, VoxelMap},
     reach::Reach,
     scan::Scan,
     sensor::{DepthImage, Pinhole},
@@ -56,7 +56,7 @@ impl Integrator for Depth {
         let (hidden, outside_image) = (self.image.hidden, self.image.outside);
         let views = [View::new(camera, world_axes(scan)?, std::mem::take(&mut self.image))];
         let prepare_secs = start.elapsed().as_secs_f64();
-        let mut done = integrate(map, anchor, &views, &mut self.gather);
+        let mut done = integrate(map, anchor, &views, &mut self.gather)?;
         (done.skipped.hidden, done.skipped.outside_image) = (hidden, outside_image);
         done.prepare_secs = prepare_secs;
         let [view] = views;
@@ -161,7 +161,12 @@ impl View {
 }
 
 /// Fuses what cameras at one place see; what comes back counts pixels.
-pub(super) fn integrate(map: &mut VoxelMap, anchor: Anchor, views: &[View], gather: &mut Gather) -> Integration {
+pub(super) fn integrate(
+    map: &mut VoxelMap,
+    anchor: Anchor,
+    views: &[View],
+    gather: &mut Gather,
+) -> Result<Integration, OutOfMemory> {
     let config = *map.config();
     let (voxel_size_m, truncation_m) = (config.voxel_size_m as f32, config.truncation_m as f32);
     let centers: Vec<Centers> = views

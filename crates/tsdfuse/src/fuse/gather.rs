@@ -30,7 +30,7 @@ use super::{
 };
 use crate::{
     index::{BLOCK_EDGE, BLOCK_VOXELS, BlockIndex, SHARDS, in_region, shard_of},
-    map::{Block, Shard, VoxelMap, fixed},
+    map::{Block, OutOfMemory, Shard, VoxelMap, fixed},
 };
 
 /// Voxels in a row.
@@ -111,29 +111,30 @@ impl<T: Item> Gather<T> {
         name: impl Fn(Range<usize>, &mut Near<T>) + Sync,
         visible: impl Fn(BlockIndex) -> bool + Sync,
         update: impl Fn(BlockIndex, &Items<'_, T>, &mut Updates) + Sync,
-    ) -> Integration {
+    ) -> Result<Integration, OutOfMemory> {
         let start = Instant::now();
-        let (stamp, limit) = map.begin_integration();
+        let limit_bytes = map.memory_limit();
         self.pieces.par_iter_mut().enumerate().for_each(|(k, piece)| {
-            piece.clear();
+            piece.clear(limit_bytes);
             name(items * k / PIECES..items * (k + 1) / PIECES, piece);
         });
+        if self.pieces.iter().any(|piece| piece.is_full) {
+            return Err(OutOfMemory::Limit { limit_bytes });
+        }
+        let (stamp, limit) = map.begin_integration();
         let find_secs = start.elapsed().as_secs_f64();
         let pieces = &self.pieces;
         let level = self.level;
         let shards = map.shards.par_iter_mut().zip(&mut self.shards).enumerate();
-        let touched: Vec<Vec<BlockIndex>> = shards
+        let touched: Result<Vec<Vec<BlockIndex>>, OutOfMemory> = shards
             .map(|(s, (shard, named))| {
                 named.collect(pieces.iter().map(|piece| &piece.buckets[s]));
                 let writer = Writer { stamp, limit, level };
                 writer.update_shard(shard, named, &visible, &update)
             })
             .collect();
-        Counts::sum(
-            touched.concat(),
-            find_secs,
-            self.pieces.iter().map(|piece| &piece.counts),
-        )
+        let counts = self.pieces.iter().map(|piece| &piece.counts);
+        Ok(Counts::sum(touched?.concat(), find_secs, counts))
     }
 }
 
@@ -145,6 +146,9 @@ pub struct Near<T> {
     recent: [(BlockIndex, Address); 64],
     buckets: Vec<Bucket<T>>,
     counts: Counts,
+    /// How many blocks may still be named, and whether more should have been.
+    room: usize,
+    is_full: bool,
 }
 
 /// What a piece of a scan says of one shard.
@@ -167,6 +171,10 @@ struct Address {
     number: u32,
 }
 
+/// Of so many bytes of the map's memory limit, one block may be named. That is eight times as many as the map can hold, since not
+/// each that is named gets an update, and a quarter of the limit for all the names.
+const LIMIT_PER_NAME: usize = size_of::<Block>() / 8;
+
 /// A block that no map holds.
 const NOWHERE: BlockIndex = BlockIndex(glam::IVec3::MIN);
 
@@ -179,6 +187,8 @@ impl<T> Default for Near<T> {
             recent: [NO_ADDRESS; 64],
             buckets: (0..SHARDS).map(|_| Bucket::new()).collect(),
             counts: Counts::default(),
+            room: 0,
+            is_full: false,
         }
     }
 }
@@ -195,7 +205,8 @@ impl<T> Bucket<T> {
 }
 
 impl<T: Item> Near<T> {
-    fn clear(&mut self) {
+    fn clear(&mut self, limit_bytes: usize) {
+        (self.room, self.is_full) = (limit_bytes / (PIECES * LIMIT_PER_NAME), false);
         self.addresses.clear();
         self.recent = [NO_ADDRESS; 64];
         for bucket in &mut self.buckets {
@@ -220,7 +231,8 @@ impl<T: Item> Near<T> {
         let low = block.0 & 3;
         let recent = (low.x | low.y << 2 | low.z << 4) as usize;
         if self.recent[recent].0 != block {
-            self.recent[recent] = (block, self.address(block));
+            let Some(address) = self.address(block) else { return };
+            self.recent[recent] = (block, address);
         }
         let Address { shard, number } = self.recent[recent].1;
         let bucket = &mut self.buckets[shard as usize];
@@ -236,16 +248,22 @@ impl<T: Item> Near<T> {
         }
     }
 
-    fn address(&mut self, block: BlockIndex) -> Address {
-        *self.addresses.entry(block).or_insert_with(|| {
-            let shard = shard_of(block);
-            let blocks = &mut self.buckets[shard].blocks;
-            blocks.push((block, u32::MAX)); // no item: there are fewer
-            Address {
-                shard: shard as u32,
-                number: (blocks.len() - 1) as u32,
-            }
-        })
+    /// `None` if more blocks are named than there can be memory for.
+    fn address(&mut self, block: BlockIndex) -> Option<Address> {
+        if let Some(&address) = self.addresses.get(&block) {
+            return Some(address);
+        }
+        self.is_full |= self.room == 0;
+        self.room = self.room.checked_sub(1)?;
+        let shard = shard_of(block);
+        let blocks = &mut self.buckets[shard].blocks;
+        blocks.push((block, u32::MAX)); // no item: there are fewer
+        let address = Address {
+            shard: shard as u32,
+            number: (blocks.len() - 1) as u32,
+        };
+        self.addresses.insert(block, address);
+        Some(address)
     }
 }
 
@@ -441,33 +459,34 @@ impl Writer {
         named: &Named<T>,
         visible: impl Fn(BlockIndex) -> bool,
         update: impl Fn(BlockIndex, &Items<'_, T>, &mut Updates),
-    ) -> Vec<BlockIndex> {
+    ) -> Result<Vec<BlockIndex>, OutOfMemory> {
         let mut touched = Vec::new();
         let mut updates = Updates::NONE;
-        let mut visit = |shard: &mut Shard, block: BlockIndex, names: &[u32]| {
+        let mut visit = |shard: &mut Shard, block: BlockIndex, names: &[u32]| -> Result<(), OutOfMemory> {
             let items = &named.items;
             update(block, &Items { items, names }, &mut updates);
             if updates.is_empty() {
                 updates.rows = 0;
-                return;
+                return Ok(());
             }
             let (region, number) = in_region(block);
-            let region = shard.region_to_update(region, self.stamp);
-            let slot = shard.slot_to_update(region, number, &mut touched);
+            let region = shard.region_to_update(region, self.stamp)?;
+            let slot = shard.slot_to_update(region, number, &mut touched)?;
             let block = &mut shard.blocks_mut()[slot as usize];
             if dispatch!(self.level, _ => updates.move_to(block, self.limit)) {
                 shard.limit_weights(slot, self.limit);
             }
+            Ok(())
         };
         let seen = shard
             .indices()
             .filter(|&b| visible(b) && !named.numbers.contains_key(&b));
         let seen: Vec<BlockIndex> = seen.collect();
         for (block, names) in named.by_block() {
-            names.chunks(AT_ONCE).for_each(|names| visit(shard, block, names));
+            names.chunks(AT_ONCE).try_for_each(|names| visit(shard, block, names))?;
         }
-        seen.into_iter().for_each(|block| visit(shard, block, &[]));
-        touched
+        seen.into_iter().try_for_each(|block| visit(shard, block, &[]))?;
+        Ok(touched)
     }
 }
 
@@ -513,7 +532,7 @@ mod tests {
                 }
             },
         );
-        (map, done)
+        (map, done.unwrap())
     }
 
     #[test]

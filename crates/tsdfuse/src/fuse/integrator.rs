@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     index::BlockIndex,
-    map::{MapConfig, VoxelMap},
+    map::{MapConfig, OutOfMemory, VoxelMap},
     reach::Reach,
     scan::{Scan, ScanError},
 };
@@ -21,12 +21,16 @@ pub trait Integrator: Send {
     /// are still in the scan are skipped and counted.
     ///
     /// # Errors
-    /// [`FuseError`]; the map is unchanged then.
+    /// [`FuseError`]. The map is unchanged then, except after [`FuseError::OutOfMemory`]: it may hold a part of the scan, and which
+    /// one depends on the threads.
     fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError>;
 
     /// Ends a series of scans: a method that collects scans before it fuses them does so now.
-    fn finish(&mut self, _map: &mut VoxelMap) -> Integration {
-        Integration::default()
+    ///
+    /// # Errors
+    /// [`FuseError::OutOfMemory`].
+    fn finish(&mut self, _map: &mut VoxelMap) -> Result<Integration, FuseError> {
+        Ok(Integration::default())
     }
 
     /// The part of a map with this configuration that [`Self::integrate`] may read or write for a scan: what a map larger than
@@ -115,4 +119,7 @@ pub enum FuseError {
         /// World position.
         position: glam::DVec3,
     },
+    /// There is no memory for the blocks that the scan touches. The scan is not to blame: the next one will fail as well.
+    #[error("{0}; it may hold only a part of the last scan")]
+    OutOfMemory(#[from] OutOfMemory),
 }

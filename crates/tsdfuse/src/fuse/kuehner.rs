@@ -104,7 +104,7 @@ impl Integrator for Kuehner {
             |block, _, updates| {
                 dispatch!(level, simd => image.update(simd, block, &centers, config.truncation_m as f32, updates));
             },
-        );
+        )?;
         done.skipped = image.skipped;
         done.fused_returns = scan.points.len() as u64 - image.skipped.hidden - image.skipped.outside_image;
         done.prepare_secs = prepare_secs;

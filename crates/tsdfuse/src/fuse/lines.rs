@@ -39,7 +39,7 @@ use crate::{
         BLOCK_VOXELS, BlockIndex, GridPoint, REGION_BITS, REGION_BLOCKS, REGION_SHIFT, ROUND, SHARDS, round,
         shard_of_region,
     },
-    map::{NO_SLOT, Shard, VoxelMap},
+    map::{NO_SLOT, OutOfMemory, Shard, VoxelMap},
     memory::prefetch,
 };
 
@@ -246,7 +246,7 @@ impl Lines {
         ask: impl Fn(usize) + Sync,
         make: impl Fn(usize) -> Result<Line, Skip> + Sync,
         rule: &R,
-    ) -> Integration {
+    ) -> Result<Integration, OutOfMemory> {
         let start = Instant::now();
         let (stamp, limit) = map.begin_integration();
         let level = self.level;
@@ -267,15 +267,22 @@ impl Lines {
             });
         });
         let find_secs = start.elapsed().as_secs_f64();
-        let touched = self.update(map, stamp, limit, rule);
-        Counts::sum(touched, find_secs, self.pieces.iter().map(|piece| &piece.counts))
+        let touched = self.update(map, stamp, limit, rule)?;
+        let counts = self.pieces.iter().map(|piece| &piece.counts);
+        Ok(Counts::sum(touched, find_secs, counts))
     }
 
     /// The second pass: updates the voxels about all lines, and tells which blocks they are in.
-    fn update<R: Rule>(&self, map: &mut VoxelMap, stamp: u32, limit: u32, rule: &R) -> Vec<BlockIndex> {
+    fn update<R: Rule>(
+        &self,
+        map: &mut VoxelMap,
+        stamp: u32,
+        limit: u32,
+        rule: &R,
+    ) -> Result<Vec<BlockIndex>, OutOfMemory> {
         let Self { level, pieces } = self;
         let shards = map.shards.par_iter_mut().enumerate();
-        let touched: Vec<Vec<BlockIndex>> = shards
+        let touched: Result<Vec<Vec<BlockIndex>>, OutOfMemory> = shards
             .map(|(s, shard)| {
                 let mut writer = Writer {
                     shard,
@@ -283,6 +290,7 @@ impl Lines {
                     slots: [NO_SLOT; REGION_BLOCKS],
                     limit,
                     queue: Queue::NEW,
+                    full: Ok(()),
                 };
                 let runs = pieces.iter().flat_map(|piece| {
                     let Bucket { numbers, runs } = &piece.buckets[s];
@@ -291,19 +299,20 @@ impl Lines {
                     runs.iter().zip(starts).map(run)
                 });
                 for (index, lines, numbers) in runs {
-                    let number = writer.shard.region_to_update(index, stamp);
+                    let number = writer.shard.region_to_update(index, stamp)?;
                     let region = Region { index, number };
                     writer.slots.fill(NO_SLOT);
                     dispatch!(*level, simd => for &number in numbers {
                         update(simd, &lines[number as usize], rule, region, &mut writer);
                     });
                     writer.ask(region);
+                    writer.full?;
                 }
                 writer.write();
-                writer.touched
+                Ok(writer.touched)
             })
             .collect();
-        touched.concat()
+        Ok(touched?.concat())
     }
 }
 
@@ -375,6 +384,8 @@ struct Writer<'a> {
     slots: [u32; REGION_BLOCKS],
     limit: u32,
     queue: Queue,
+    /// The error, once there is no memory for a block. Updates are dropped from then on.
+    full: Result<(), OutOfMemory>,
 }
 
 /// Updates on their way.
@@ -441,7 +452,13 @@ impl Writer<'_> {
             );
             let slot = &mut self.slots[block];
             if *slot == NO_SLOT {
-                *slot = self.shard.slot_to_update(region.number, block, &mut self.touched);
+                match self.shard.slot_to_update(region.number, block, &mut self.touched) {
+                    Ok(new) => *slot = new,
+                    Err(full) => {
+                        (self.full, *found) = (Err(full), *asked);
+                        return;
+                    }
+                }
                 blocks = self.shard.blocks();
             }
             prefetch(&blocks[*slot as usize].voxels[voxel]);
@@ -663,7 +680,9 @@ mod tests {
     fn fused(level: Level, lines: &[Line], config: MapConfig, rule: &impl Rule) -> (VoxelMap, Integration) {
         let mut map = VoxelMap::new(config).unwrap();
         let all: Vec<u32> = (0..lines.len() as u32).collect();
-        let done = Lines::with(level).run(&mut map, &all, |_| (), |i| Ok(lines[i]), rule);
+        let done = Lines::with(level)
+            .run(&mut map, &all, |_| (), |i| Ok(lines[i]), rule)
+            .unwrap();
         (map, done)
     }
 

@@ -106,7 +106,7 @@ impl Integrator for Normals {
                 })
             },
             &AlongNormal,
-        );
+        )?;
         Ok(Integration {
             prepare_secs,
             ..integration

@@ -185,7 +185,7 @@ impl Integrator for Patch {
                 })
             },
             &AlongPatch { truncation },
-        );
+        )?;
         // Patches between returns do not count as returns.
         done.fused_returns = done.fused_returns.saturating_sub((patches.len() - returns) as u64);
         if self.config.carve {

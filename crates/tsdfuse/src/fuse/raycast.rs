@@ -97,7 +97,7 @@ impl Integrator for Raycast {
                 |i| along(placed, i, reach),
                 &Projective,
             ),
-        };
+        }?;
         Ok(Integration {
             prepare_secs,
             ..integration

@@ -40,7 +40,7 @@ use super::{
 };
 use crate::{
     index::BlockIndex,
-    map::{MapConfig, VoxelMap},
+    map::{MapConfig, OutOfMemory, VoxelMap},
     reach::Reach,
     scan::Scan,
 };
@@ -135,7 +135,7 @@ impl Roldao {
     }
 
     /// Updates the map with the planes through the points in the cells.
-    fn write(&mut self, map: &mut VoxelMap) -> Integration {
+    fn write(&mut self, map: &mut VoxelMap) -> Result<Integration, OutOfMemory> {
         let adaptive = Adaptive::new(
             (self.config.min_points, self.config.max_level),
             (self.config.min_spread_m, self.config.min_density),
@@ -176,7 +176,7 @@ impl Integrator for Roldao {
         let fused_returns = self.cells.add(&self.placed, map.config().voxel_size_m);
         let prepare_secs = start.elapsed().as_secs_f64();
         let mut done = match self.config.form {
-            RoldaoForm::Scan => self.write(map),
+            RoldaoForm::Scan => self.write(map)?,
             RoldaoForm::Batch => Integration::default(),
         };
         done.fused_returns = fused_returns;
@@ -185,17 +185,17 @@ impl Integrator for Roldao {
         Ok(done)
     }
 
-    fn finish(&mut self, map: &mut VoxelMap) -> Integration {
+    fn finish(&mut self, map: &mut VoxelMap) -> Result<Integration, FuseError> {
         match self.config.form {
-            RoldaoForm::Scan => Integration::default(),
+            RoldaoForm::Scan => Ok(Integration::default()),
             RoldaoForm::Batch => {
-                let done = self.write(map);
+                let done = self.write(map)?;
                 self.cells = Cells::default();
                 // What the engine counts are blocks of cells; returns were counted as they came.
-                Integration {
+                Ok(Integration {
                     fused_returns: 0,
                     ..done
-                }
+                })
             }
         }
     }

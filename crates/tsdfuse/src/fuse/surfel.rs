@@ -21,7 +21,7 @@ use super::{
     placed::Placed,
 };
 use crate::{
-    map::{MapConfig, VoxelMap},
+    map::{MapConfig, OutOfMemory, VoxelMap},
     reach::Reach,
     scan::{RangeLimits, Scan},
     sensor::{SensorModel, guess},
@@ -96,7 +96,7 @@ impl Integrator for Surfels {
         let (fused_returns, skipped) = self.make_discs(max_range_m, map.config());
         let prepare_secs = start.elapsed().as_secs_f64();
 
-        let integration = update(map, &mut self.gather, &self.discs);
+        let integration = update(map, &mut self.gather, &self.discs)?;
         Ok(Integration {
             fused_returns,
             skipped,
@@ -151,7 +151,7 @@ impl Disc {
 }
 
 /// Updates the voxels of all discs.
-fn update(map: &mut VoxelMap, gather: &mut Gather<Disc>, discs: &[Disc]) -> Integration {
+fn update(map: &mut VoxelMap, gather: &mut Gather<Disc>, discs: &[Disc]) -> Result<Integration, OutOfMemory> {
     let level = gather.level();
     gather.run(
         map,
@@ -184,7 +184,7 @@ mod tests {
 
     fn updated(level: Level, discs: &[Disc]) -> VoxelMap {
         let mut map = VoxelMap::new(MapConfig::default()).unwrap();
-        update(&mut map, &mut Gather::with(level), discs);
+        update(&mut map, &mut Gather::with(level), discs).unwrap();
         map
     }
 

@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::block::{Block, MAX_WEIGHT, Voxel};
-use crate::index::BlockIndex;
+use crate::{index::BlockIndex, memory::OutOfMemory};
 
 /// Blocks farther out are refused by [`VoxelMap::insert_block`]: ±107 000 km at 5 cm.
 pub(super) const MAX_BLOCK: u32 = (1 << 28) - 2;
@@ -62,6 +62,9 @@ pub enum MapError {
         /// And in the other.
         b: f64,
     },
+    /// There is no memory for more blocks.
+    #[error(transparent)]
+    OutOfMemory(#[from] OutOfMemory),
     /// A box has its lower corner below its upper one.
     #[error("the box from {low} to {high} holds nothing")]
     Box {

@@ -37,7 +37,7 @@ impl VoxelMap {
         check_block(index, block)?;
         let limit = self.config.max_weight_sum();
         let shard = &mut self.shards[shard_of(index)];
-        let slot = shard.slot_or_insert(index);
+        let slot = shard.slot_or_insert(index)?;
         let own = &mut shard.blocks_mut()[slot as usize];
         let added = own.voxels.iter_mut().zip(&block.voxels);
         Ok(added.map(|(own, other)| u64::from(own.add(*other, limit))).sum())

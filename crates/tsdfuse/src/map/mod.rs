@@ -26,6 +26,7 @@ mod update;
 mod voxel_map;
 mod warp;
 
+pub use crate::memory::OutOfMemory;
 pub use block::{Block, MAX_WEIGHT, Voxel, WEIGHT_SCALE};
 pub(crate) use block::{fixed, min_weight_sum};
 pub use config::MapConfig;

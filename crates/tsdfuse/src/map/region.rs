@@ -71,7 +71,7 @@ impl RegionBlocks {
         }
         let at = self.numbers.len();
         if at.is_multiple_of(SLAB_BLOCKS) {
-            self.slabs.push(self.pool.slab());
+            self.slabs.push(self.pool.slab()?);
         }
         self.numbers.push(number);
         self.slabs[at / SLAB_BLOCKS][at % SLAB_BLOCKS].clone_from(block);
@@ -122,7 +122,7 @@ impl VoxelMap {
     pub fn put_region(&mut self, mut region: RegionBlocks) -> Result<(), MapError> {
         let RegionIndex(index) = region.index;
         let shard = &mut self.shards[shard_of_region(index)];
-        let number = shard.number_or_insert(index);
+        let number = shard.number_or_insert(index)?;
         let known = &mut shard.regions[number];
         if let Some((number, _)) = known.there().next() {
             let block = block_of_region(index, number);

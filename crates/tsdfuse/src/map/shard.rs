@@ -12,7 +12,7 @@ use rustc_hash::FxBuildHasher;
 use super::block::Block;
 use crate::{
     index::{BlockIndex, REGION_BLOCKS, block_of_region, in_region},
-    memory::{Blocks, Pool, SLAB_BLOCKS},
+    memory::{Blocks, OutOfMemory, Pool, SLAB_BLOCKS},
 };
 
 /// The slot of a block that is not there.
@@ -55,18 +55,18 @@ impl Region {
 
     /// The slot of a block, which is made if it is not there.
     #[inline]
-    fn slot_or_insert(&mut self, block: usize, blocks: &mut Blocks) -> u32 {
+    fn slot_or_insert(&mut self, block: usize, blocks: &mut Blocks) -> Result<u32, OutOfMemory> {
         let slot = &mut self.slots[block];
         if *slot == NO_SLOT {
             self.last = if (self.blocks as usize).is_multiple_of(SLAB_BLOCKS) {
-                blocks.push()
+                blocks.push()?
             } else {
                 self.last + 1
             };
             self.blocks += 1;
             *slot = self.last;
         }
-        *slot
+        Ok(*slot)
     }
 
     /// Its blocks: numbers in the region, and slots.
@@ -86,18 +86,25 @@ impl Shard {
     }
 
     /// The slot of a block, which is made if it is not there.
-    pub(crate) fn slot_or_insert(&mut self, index: BlockIndex) -> u32 {
+    pub(crate) fn slot_or_insert(&mut self, index: BlockIndex) -> Result<u32, OutOfMemory> {
         let (region, block) = in_region(index);
-        let number = self.number_or_insert(region);
+        let number = self.number_or_insert(region)?;
         self.regions[number].slot_or_insert(block, &mut self.blocks)
     }
 
     /// The number of a region, which is made if it is not there.
-    pub(super) fn number_or_insert(&mut self, index: IVec3) -> usize {
-        *self.numbers.entry(index).or_insert_with(|| {
-            self.regions.push(Region::new(index));
-            (self.regions.len() - 1) as u32
-        }) as usize
+    pub(super) fn number_or_insert(&mut self, index: IVec3) -> Result<usize, OutOfMemory> {
+        if let Some(&number) = self.numbers.get(&index) {
+            return Ok(number as usize);
+        }
+        let reserved = self.regions.try_reserve(1).is_ok() && self.numbers.try_reserve(1).is_ok();
+        if !reserved {
+            return Err(self.blocks.exhausted());
+        }
+        let number = self.regions.len();
+        self.regions.push(Region::new(index));
+        self.numbers.insert(index, number as u32);
+        Ok(number)
     }
 
     /// The slot of a block, if it is there.
@@ -109,26 +116,31 @@ impl Shard {
     }
 
     /// The number of a region that integration number `stamp` updates.
-    pub(crate) fn region_to_update(&mut self, index: IVec3, stamp: u32) -> usize {
-        let number = self.number_or_insert(index);
+    pub(crate) fn region_to_update(&mut self, index: IVec3, stamp: u32) -> Result<usize, OutOfMemory> {
+        let number = self.number_or_insert(index)?;
         let region = &mut self.regions[number];
         if region.stamp != stamp {
             region.stamp = stamp;
             region.updated = [0; REGION_BLOCKS / 64];
         }
-        number
+        Ok(number)
     }
 
     /// The slot of a block that this integration now updates; the first time, the block is added to `touched`.
-    pub(crate) fn slot_to_update(&mut self, number: usize, block: usize, touched: &mut Vec<BlockIndex>) -> u32 {
+    pub(crate) fn slot_to_update(
+        &mut self,
+        number: usize,
+        block: usize,
+        touched: &mut Vec<BlockIndex>,
+    ) -> Result<u32, OutOfMemory> {
         let region = &mut self.regions[number];
-        let slot = region.slot_or_insert(block, &mut self.blocks);
+        let slot = region.slot_or_insert(block, &mut self.blocks)?;
         let (word, bit) = (&mut region.updated[block / 64], 1 << (block % 64));
         if *word & bit == 0 {
             *word |= bit;
             touched.push(block_of_region(region.index, block));
         }
-        slot
+        Ok(slot)
     }
 
     /// Visits all blocks of some regions, and tells of each whether integration number `stamp` updated it.

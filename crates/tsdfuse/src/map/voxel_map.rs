@@ -61,14 +61,14 @@ impl VoxelMap {
     ///
     /// # Errors
     /// [`MapError`] names the block if it is there already, lies outside of the grid, or holds sums that no observations
-    /// have; the map is as before then.
+    /// have. [`MapError::OutOfMemory`] if there is no memory for it. The map is as before then.
     pub fn insert_block(&mut self, index: BlockIndex, block: Block) -> Result<(), MapError> {
         check_block(index, &block)?;
         let shard = &mut self.shards[shard_of(index)];
         if shard.slot(index).is_some() {
             return Err(MapError::Occupied { block: index });
         }
-        let slot = shard.slot_or_insert(index);
+        let slot = shard.slot_or_insert(index)?;
         shard.blocks[slot as usize] = block;
         Ok(())
     }
@@ -149,6 +149,22 @@ impl VoxelMap {
             .par_iter()
             .map(|s| s.blocks.iter().map(observed).sum::<usize>())
             .sum()
+    }
+
+    /// Bytes that the blocks of this map may take.
+    pub fn memory_limit(&self) -> usize {
+        self.pool.limit()
+    }
+
+    /// Limits the memory for blocks; `usize::MAX` is no limit. Without a call, the limit is three quarters of the memory that the
+    /// process can have: of the machine, the container, or `ulimit -v`.
+    ///
+    /// What needs more ends with an error: [`FuseError::OutOfMemory`](crate::fuse::FuseError::OutOfMemory) or
+    /// [`MapError::OutOfMemory`]. Blocks that are there stay. The limit holds for all of the map's [`BlockPool`](super::BlockPool),
+    /// so also for regions that are outside of it. It neither counts the table of blocks, which is small beside them, nor does it
+    /// apply to making a clone.
+    pub fn set_memory_limit(&mut self, bytes: usize) {
+        self.pool.set_limit(bytes);
     }
 
     /// Bytes held by blocks and their table.

@@ -159,7 +159,7 @@ mod tests {
         let all = cube().flat_map(|z| cube().flat_map(move |y| cube().map(move |x| BlockIndex(IVec3::new(x, y, z)))));
         let all: Vec<BlockIndex> = all.collect();
         for &index in all.iter().filter(|b| b.0.dot(IVec3::new(1, 2, 3)) % 5 != 0) {
-            map.shards[crate::index::shard_of(index)].slot_or_insert(index);
+            map.shards[crate::index::shard_of(index)].slot_or_insert(index).unwrap();
         }
         let mut finder = Finder::new(&map);
         let mut seen = [0; 2];

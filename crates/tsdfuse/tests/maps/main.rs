@@ -2,7 +2,10 @@
 
 #![allow(clippy::unwrap_used)] // test helpers
 
+#[path = "../common/mod.rs"]
+mod common;
 mod crop;
+mod memory;
 mod query;
 mod reach;
 mod region;

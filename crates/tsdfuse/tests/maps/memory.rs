@@ -1,0 +1,116 @@
+//! A map that needs more memory than there is ends with an error, and what it has stays.
+
+use std::process::Command;
+
+use tsdfuse::fuse::{FuseConfig, FuseError, Method};
+use tsdfuse::index::BlockIndex;
+use tsdfuse::map::{Block, MapError, OutOfMemory, Voxel};
+use tsdfuse::{Integrator, MapConfig, Raycast, VoxelMap, glam};
+
+use crate::common;
+
+fn map() -> VoxelMap {
+    VoxelMap::new(MapConfig {
+        voxel_size_m: 0.02,
+        truncation_m: 0.1,
+        ..Default::default()
+    })
+    .unwrap()
+}
+
+fn block(x: i32) -> (BlockIndex, Block) {
+    let mut block = Block::EMPTY;
+    block.voxels[7] = Voxel {
+        weight_sum: 5,
+        distance_sum: x % 5,
+    };
+    (BlockIndex(glam::IVec3::X * x), block)
+}
+
+#[test]
+fn both_engines_stop_at_the_limit_and_go_on_with_more() {
+    let config = FuseConfig::default();
+    for method in [Method::Raycast, Method::Surfels] {
+        let fuse = |map: &mut VoxelMap| method.build(&config, None).integrate(map, &common::scan(0, 30_000));
+        let mut whole = map();
+        fuse(&mut whole).unwrap();
+        let needed = whole.block_count() * size_of::<Block>();
+        assert!(needed > 4 << 20, "{needed}");
+
+        let mut limited = map();
+        limited.set_memory_limit(needed / 4);
+        let error = fuse(&mut limited).unwrap_err();
+        let limit_bytes = needed / 4;
+        assert_eq!(error, FuseError::OutOfMemory(OutOfMemory::Limit { limit_bytes }));
+        assert!(limited.block_count() * size_of::<Block>() <= limit_bytes);
+        // What is there can be read, and made room for.
+        assert!(limited.block_indices().iter().all(|&b| limited.block(b).is_some()));
+        let regions = limited.regions();
+        assert!(method != Method::Raycast || regions.len() > 1);
+        regions.into_iter().for_each(|region| drop(limited.take_region(region)));
+        limited.set_memory_limit(usize::MAX);
+        fuse(&mut limited).unwrap();
+        assert!(limited == whole, "{}", method.name());
+    }
+}
+
+#[test]
+fn blocks_from_elsewhere_are_refused_beyond_the_limit() {
+    let (mut map, mut other) = (map(), map());
+    map.set_memory_limit(4 * 32 * 1024);
+    let refused = (0..)
+        .map(|x| block(64 * x))
+        .find_map(|(i, block)| map.insert_block(i, block).err());
+    let limit_bytes = 4 * 32 * 1024;
+    let full = OutOfMemory::Limit { limit_bytes };
+    assert_eq!((refused, map.block_count()), (Some(MapError::OutOfMemory(full)), 4));
+    assert_eq!(full.to_string(), "the map needs more than 0.1 MiB, its memory limit");
+    let (index, block) = block(64 * 9);
+    other.insert_block(index, block).unwrap();
+    assert_eq!(map.merge(&other), Err(MapError::OutOfMemory(full)));
+}
+
+/// Set for the child below; in it, the test fills a map until there is no memory, with no limit of its own.
+const CHILD: &str = "TSDFUSE_TEST_FILLS_MEMORY";
+
+#[test]
+#[cfg(target_os = "linux")]
+fn an_address_space_that_is_used_up_is_an_error() {
+    if let Ok(limit) = std::env::var(CHILD) {
+        let mut map = map();
+        let all = map.memory_limit();
+        assert!(all < 2_000_000 << 10, "{all}");
+        if limit == "none" {
+            map.set_memory_limit(usize::MAX);
+        }
+        let refused = (0..)
+            .map(|x| block(8 * x))
+            .find_map(|(i, block)| map.insert_block(i, block).err());
+        println!("{}", refused.unwrap());
+        // There is still room for other things.
+        Raycast::default()
+            .integrate(&mut VoxelMap::new(*map.config()).unwrap(), &common::scan(0, 100))
+            .unwrap();
+        return;
+    }
+    for (limit, told) in [
+        ("none", "needs more memory than the system gives"),
+        ("default", "its memory limit"),
+    ] {
+        let program = std::env::current_exe().unwrap();
+        let output = Command::new("sh")
+            .args(["-c", "ulimit -v 2000000; exec \"$@\"", "sh"])
+            .arg(program)
+            .args([
+                "--exact",
+                "memory::an_address_space_that_is_used_up_is_an_error",
+                "--nocapture",
+            ])
+            .env(CHILD, limit)
+            .env("RAYON_NUM_THREADS", "2")
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success() && text.contains(told), "{text}{output:?}");
+    }
+}
