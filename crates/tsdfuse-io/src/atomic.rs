@@ -1,4 +1,4 @@
-//! Output files and folders that are complete or not there.
+//! Output files and folders that appear complete or not at all.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind, Write};
@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 
-/// Writes a file through `write`, so that at `path` there is at any time what was there before, or all of it.
+/// Writes a file through `write`. At any time, `path` is either what it was before or the complete new file.
 ///
-/// The bytes go to a hidden file in the same folder, which takes the name of `path` when all are written and is removed
-/// if that fails. Through a link its target is replaced. What is no regular file (a pipe, `/dev/null`) is written to
-/// directly.
+/// The bytes go to a hidden file in the same folder, which is renamed to `path` when it is complete, and removed if anything
+/// fails. Behind a link, the target is replaced. What is no regular file (a pipe, `/dev/null`) is written to directly.
 ///
 /// # Errors
-/// Names `path` and what the system or `write` says.
+/// Names `path` and what the system or `write` says. A process that does not ignore or handle the signal SIGXFSZ is ended by the
+/// system where a file becomes larger than `ulimit -f` allows; otherwise that is an error as well.
 pub fn write(path: impl AsRef<Path>, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
     let path = path.as_ref();
     let write_to = |file: File| {
@@ -27,7 +27,7 @@ pub fn write(path: impl AsRef<Path>, write: impl FnOnce(&mut BufWriter<File>) ->
             .write(true)
             .open(&target)
             .and_then(write_to)
-            .map_err(Error::io(path));
+            .map_err(not_written(path));
     }
     if target.file_name().is_none() || target.is_dir() {
         return Err(Error::dataset(path, "is a folder, not a file to write"));
@@ -35,15 +35,29 @@ pub fn write(path: impl AsRef<Path>, write: impl FnOnce(&mut BufWriter<File>) ->
     let (temporary, file) = Temporary::create(&target).map_err(Error::io(path))?;
     write_to(file)
         .and_then(|()| temporary.rename(&target))
-        .map_err(Error::io(path))
+        .map_err(not_written(path))
 }
 
-/// A file that is removed unless it gets its final name.
+/// An error of writing; says of a file that is too large which limits there are.
+fn not_written(path: &Path) -> impl FnOnce(io::Error) -> Error {
+    move |error| {
+        let error = match error.kind() {
+            ErrorKind::FileTooLarge => io::Error::new(
+                ErrorKind::FileTooLarge,
+                "the file becomes larger than the file system or `ulimit -f` allows",
+            ),
+            _ => error,
+        };
+        Error::io(path)(error)
+    }
+}
+
+/// A file that is removed unless it is renamed.
 #[derive(Debug)]
 pub(crate) struct Temporary(PathBuf);
 
 impl Temporary {
-    /// Makes one beside `target`, to write and to read.
+    /// Creates one beside `target`, for writing and reading.
     pub(crate) fn create(target: &Path) -> io::Result<(Self, File)> {
         let (path, file) = beside(target, |path| {
             OpenOptions::new().read(true).write(true).create_new(true).open(path)
@@ -58,12 +72,12 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        // Nothing to remove after the renaming.
+        // After renaming, there is nothing to remove.
         let _ = fs::remove_file(&self.0);
     }
 }
 
-/// Makes something hidden beside `target`, by a name that is free.
+/// Makes something hidden beside `target`, with a name that is free.
 fn beside<T>(target: &Path, make: impl Fn(&Path) -> io::Result<T>) -> io::Result<(PathBuf, T)> {
     let name = target.file_name().unwrap_or_default().to_string_lossy();
     let mut attempt = 0;
@@ -76,7 +90,8 @@ fn beside<T>(target: &Path, make: impl Fn(&Path) -> io::Result<T>) -> io::Result
     }
 }
 
-/// Finds out before the work whether a [`Folder`] can be written: there is none by this name, or it is empty.
+/// Checks that a [`Folder`] can be written, so that this is known before the work is done: there is no folder of this name, or it
+/// is empty.
 ///
 /// # Errors
 /// Names the folder and what is in the way.
@@ -100,7 +115,7 @@ pub fn check_folder(path: &Path) -> Result<()> {
     }
 }
 
-/// A folder in the making, hidden beside the one that it becomes; gone unless it is finished.
+/// A folder that is being written, hidden beside its final place; removed unless it is finished.
 #[derive(Debug)]
 pub struct Folder<'a> {
     path: PathBuf,
@@ -108,7 +123,7 @@ pub struct Folder<'a> {
 }
 
 impl<'a> Folder<'a> {
-    /// Begins one that becomes `target`.
+    /// Begins a folder that becomes `target`.
     ///
     /// # Errors
     /// As [`check_folder`].
@@ -123,7 +138,7 @@ impl<'a> Folder<'a> {
         &self.path
     }
 
-    /// Gives it its name.
+    /// Gives the folder its final name.
     ///
     /// # Errors
     /// Names the folder and what the system says.
@@ -138,7 +153,7 @@ impl<'a> Folder<'a> {
 
 impl Drop for Folder<'_> {
     fn drop(&mut self) {
-        // Nothing to remove once it has its name.
+        // Once it has its final name, there is nothing to remove.
         let _ = fs::remove_dir_all(&self.path);
     }
 }
@@ -172,6 +187,32 @@ mod tests {
         write(&path, |w| w.write_all(b"new")).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(names(dir.path()), ["out.ply"]);
+    }
+
+    /// Set for the child below.
+    const CHILD: &str = "TSDFUSE_TEST_FILE_LIMIT";
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_limit_on_the_size_of_files_is_an_error_and_leaves_nothing() {
+        if let Ok(folder) = std::env::var(CHILD) {
+            let path = Path::new(&folder).join("out.ply");
+            let error = write(&path, |w| w.write_all(&vec![1; 1 << 20])).unwrap_err();
+            println!("{error}");
+            assert_eq!(names(Path::new(&folder)), [""; 0]);
+            return;
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let output = std::process::Command::new("sh")
+            .args(["-c", "trap '' XFSZ; ulimit -f 64; exec \"$@\"", "sh"])
+            .arg(std::env::current_exe().unwrap())
+            .args(["atomic::tests::a_limit_on_the_size", "--nocapture"])
+            .env(CHILD, dir.path())
+            .output()
+            .unwrap();
+        let told = String::from_utf8_lossy(&output.stdout);
+        let expected = "out.ply: the file becomes larger than the file system or `ulimit -f` allows";
+        assert!(output.status.success() && told.contains(expected), "{told}");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! KITTI's point files: x y z intensity of each point as little-endian `f32`, and columns of the same kind.
+//! KITTI's point files: x y z intensity of each point as little-endian `f32`; and side files with one number per point.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 /// Parses a `.bin` file; `path` is for messages.
 ///
 /// # Errors
-/// Names the file where its size is no multiple of 16 bytes.
+/// Names the file if its size is no multiple of 16 bytes.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
     let (records, []) = bytes.as_chunks::<16>() else {
         let reason = format!(
@@ -30,7 +30,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
     })
 }
 
-/// Parses one `N`-byte little-endian number for each of `points` points.
+/// Parses a side file: one little-endian number of `N` bytes for each of `points` points.
 pub(crate) fn column<T, const N: usize>(
     path: &Path,
     bytes: &[u8],

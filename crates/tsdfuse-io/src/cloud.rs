@@ -1,4 +1,4 @@
-//! One file of points, before it is known where the sensor was.
+//! The points of one file, before the pose of the sensor is known.
 
 use std::path::Path;
 
@@ -7,17 +7,17 @@ use tsdfuse::glam::Vec3;
 
 use crate::error::{Error, Result};
 
-/// The farthest in time a return may be from its scan's pose, seconds: beyond it, the unit must be another one.
+/// The longest time between a return and its scan's pose, seconds. Longer times must be in another unit.
 const MAX_OFFSET_SECS: f64 = 10.0;
 
-/// The points of one file with the columns it has; columns are as long as `points`.
+/// The points of one file and the columns that it has, each as long as `points`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloud {
-    /// Sensor frame, metres; invalid returns as the file has them.
+    /// Sensor frame, metres; invalid returns are as in the file.
     pub points: Vec<Vec3>,
     /// The laser of each point.
     pub rings: Option<Vec<u16>>,
-    /// When each point was measured, seconds: since the scan's pose, or since the epoch of the scans' times.
+    /// When each point was measured: seconds after the scan's pose, or since the epoch of the scans' times.
     pub secs: Option<Vec<f64>>,
     /// In the sensor's own unit.
     pub intensities: Option<Vec<f32>>,
@@ -25,8 +25,8 @@ pub struct Cloud {
     pub viewpoint: Option<Pose>,
 }
 
-/// Seconds after the scan's pose, for times that count from there or, like `scan_secs`, from an epoch; where they fit
-/// neither, they count from the earliest of them. A point without a finite time gets NaN.
+/// Converts times to seconds after the scan's pose. They count from there or, like `scan_secs`, from an epoch; if neither fits, the
+/// earliest of them is taken as zero. A point without a finite time gets NaN.
 pub(crate) fn offsets(path: &Path, secs: &[f64], scan_secs: Option<f64>) -> Result<Vec<f32>> {
     let finite = secs.iter().copied().filter(|t| t.is_finite());
     let Some(first) = finite.clone().reduce(f64::min) else {
@@ -44,7 +44,7 @@ pub(crate) fn offsets(path: &Path, secs: &[f64], scan_secs: Option<f64>) -> Resu
     Ok(secs.iter().map(offset).collect())
 }
 
-/// Times that are known to count from the scan's pose, if they do.
+/// Checks times that should count from the scan's pose.
 pub(crate) fn checked_offsets(path: &Path, secs: Vec<f32>) -> Result<Vec<f32>> {
     match secs.iter().find(|t| f64::from(t.abs()) > MAX_OFFSET_SECS) {
         Some(t) => Err(too_far(path, f64::from(*t))),

@@ -1,6 +1,6 @@
 //! What the named columns of PCD and PLY clouds mean.
 //!
-//! Names count whatever their case and an initial `scalar_` (CloudCompare):
+//! The case of a name does not matter, nor does a leading `scalar_` (CloudCompare):
 //!
 //! | column | names | unit |
 //! |---|---|---|
@@ -9,7 +9,7 @@
 //! | ring | `ring`, `laser_id`, `laser`, `channel`, `line` | renumbered so that 0 is the lowest |
 //! | time | `t`, `time`, `timestamp`, `time_offset`, `offset_time`, `gps_time` | integers: nanoseconds; others: seconds, or since 1970 in s, ms, µs or ns |
 //!
-//! Times may count from the scan's pose (Ouster, Velodyne) or from an epoch (Hesai).
+//! Times count from the scan's pose (Ouster, Velodyne) or from an epoch (Hesai).
 
 use std::path::Path;
 
@@ -20,7 +20,7 @@ use crate::error::{Error, Result};
 use crate::files::epoch_secs;
 use crate::scalar::Scalar;
 
-/// The parts of a cloud that columns can be.
+/// What a column can be in a cloud.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     X,
@@ -47,20 +47,20 @@ const NAMES: [(Role, &[&str]); 6] = [
     ),
 ];
 
-/// The columns of a cloud as they are being read.
+/// The columns of a cloud that is being read.
 #[derive(Debug)]
 pub(crate) struct Columns([Option<Column>; 6]);
 
 #[derive(Debug)]
 struct Column {
-    /// Its place among the file's fields.
+    /// The number of the field in the file.
     field: usize,
     scalar: Scalar,
     values: Vec<f64>,
 }
 
 impl Columns {
-    /// Picks the columns that a cloud is made of from the fields of a file; needs x, y and z.
+    /// Picks from the fields of a file those that make up a cloud; x, y and z must be among them.
     pub(crate) fn pick(path: &Path, fields: &[(&str, Scalar)]) -> Result<Self> {
         let plain = |name: &str| {
             let name = name.to_ascii_lowercase();
@@ -82,19 +82,19 @@ impl Columns {
         Ok(Self(columns))
     }
 
-    /// The columns with the places of their fields in the file, to be filled.
+    /// The columns to be filled, each with the number and type of its field in the file.
     pub(crate) fn each(&mut self) -> impl Iterator<Item = (usize, Scalar, &mut Vec<f64>)> {
         self.0.iter_mut().flatten().map(|c| (c.field, c.scalar, &mut c.values))
     }
 
-    /// The points alone, with all their digits.
+    /// The positions alone, in double precision.
     pub(crate) fn into_points(self) -> Vec<DVec3> {
         let [x, y, z, ..] = self.0.map(|column| column.map_or(Vec::new(), |c| c.values));
         let rows = x.into_iter().zip(y).zip(z);
         rows.map(|((x, y), z)| DVec3::new(x, y, z)).collect()
     }
 
-    /// The cloud of the columns, all of which have been filled with as many values.
+    /// Makes a cloud of the columns, which must all have the same length.
     pub(crate) fn into_cloud(self, path: &Path) -> Result<Cloud> {
         let [x, y, z, intensity, ring, time] = self.0;
         let [x, y, z] = [x, y, z].map(|column| column.map_or(Vec::new(), |c| c.values));

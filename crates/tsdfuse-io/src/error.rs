@@ -1,8 +1,8 @@
-//! What can go wrong with files: every message names the file, the scan or line, and the reason.
+//! What can go wrong with files. Every message names the file, the scan or line, and the reason.
 
 use std::path::{Path, PathBuf};
 
-/// The one error of this crate. Its message is one line.
+/// The error of this crate. Its message is one line.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The operating system refused.
@@ -13,7 +13,7 @@ pub enum Error {
         /// What the system said. Part of the message, so [`std::error::Error::source`] does not give it again.
         reason: std::io::Error,
     },
-    /// The bytes are not what the format promises.
+    /// The file is not in its format.
     #[error("{}: {reason}", path.display())]
     Format {
         /// The file.
@@ -21,7 +21,7 @@ pub enum Error {
         /// Where in it and what is wrong.
         reason: String,
     },
-    /// The path holds nothing that is read here, or its parts do not fit together.
+    /// The path holds nothing that can be read, or its parts do not fit together.
     #[error("{}: {reason}", path.display())]
     Dataset {
         /// The data set's folder.

@@ -1,11 +1,11 @@
-//! Folders of numbered files: listing them in their natural order, reading them, and what their names say.
+//! Folders of numbered files: lists them in natural order, reads them, and finds numbers and times in their names.
 
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 
-/// One scan's file and what its name tells.
+/// The file of one scan.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ScanFile {
     pub(crate) path: PathBuf,
@@ -18,7 +18,7 @@ impl ScanFile {
         self.name.rsplit_once('.').map_or(self.name.as_str(), |(stem, _)| stem)
     }
 
-    /// The number that is the whole name: 12 for `000012.bin`.
+    /// The number, if the name is nothing else: 12 for `000012.bin`.
     pub(crate) fn number(&self) -> Option<usize> {
         let stem = self.stem();
         stem.bytes().all(|b| b.is_ascii_digit()).then(|| stem.parse().ok())?
@@ -30,8 +30,8 @@ impl ScanFile {
     }
 }
 
-/// The time that ends a file's stem, seconds: `12.345` and `1583836591.18`, `1583836591_182590976` (seconds and
-/// nanoseconds), or an integer since 1970 in seconds, milli-, micro- or nanoseconds, told apart by its size. A smaller
+/// The time at the end of a file's stem, in seconds: `12.345` and `1583836591.18`, `1583836591_182590976` (seconds and
+/// nanoseconds), or an integer since 1970 in seconds, milli-, micro- or nanoseconds, told apart by its magnitude. A smaller
 /// integer is a running number.
 pub(crate) fn secs_in_name(stem: &str) -> Option<f64> {
     let tail = |s: &str| s.len() - s.bytes().rev().take_while(u8::is_ascii_digit).count();
@@ -49,7 +49,7 @@ pub(crate) fn secs_in_name(stem: &str) -> Option<f64> {
     }
 }
 
-/// Seconds since 1970 from a count of seconds, milli-, micro- or nanoseconds; `None` for what is too small to be any.
+/// Seconds since 1970 from a count of seconds, milli-, micro- or nanoseconds; `None` if it is too small for a time.
 pub(crate) fn epoch_secs(count: f64) -> Option<f64> {
     match count {
         1e8..1e11 => Some(count),
@@ -60,8 +60,8 @@ pub(crate) fn epoch_secs(count: f64) -> Option<f64> {
     }
 }
 
-/// The files of a folder with the extension (lower case, without dot), hidden ones left out: in order of the times in
-/// their names where all have one, otherwise in natural order (`2` before `10`). Empty where there is no such folder.
+/// The files of a folder with an extension (lower case, without dot), except hidden ones. They are in order of the times in
+/// their names if all have one, otherwise in natural order (`2` before `10`). Empty if there is no such folder.
 pub(crate) fn list(folder: &Path, extension: &str) -> Result<Vec<ScanFile>> {
     let mut files: Vec<_> = names(folder)?
         .into_iter()
@@ -83,7 +83,7 @@ pub(crate) fn list(folder: &Path, extension: &str) -> Result<Vec<ScanFile>> {
     Ok(files)
 }
 
-/// The names in a folder that are not hidden and are text, sorted. Empty where there is no such folder.
+/// The names in a folder, sorted, except those that are hidden or not text. Empty if there is no such folder.
 pub(crate) fn names(folder: &Path) -> Result<Vec<String>> {
     if !folder.is_dir() {
         return Ok(Vec::new());
@@ -101,12 +101,12 @@ pub(crate) fn name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// All bytes of a file.
+/// Reads a whole file.
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(Error::io(path))
 }
 
-/// Compares names with their runs of digits as numbers.
+/// Compares names, runs of digits by their value.
 pub(crate) fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut x, mut y) = (a.as_bytes(), b.as_bytes());
     loop {

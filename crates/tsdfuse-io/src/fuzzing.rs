@@ -1,4 +1,4 @@
-//! Each parser fed with any bytes, for the targets in `fuzz/`; no part of the library's interface.
+//! Feeds each parser with arbitrary bytes, for the targets in `fuzz/`. Not part of the library's interface.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use crate::pandaset::frames;
 use crate::pickle::DataFrame;
 use crate::rgbd::image::{self, ImageSize};
 use crate::rgbd::{camera, seven_scenes, tum};
-use crate::{bin, calib, folder, glb, kitti_raw, map_file, obj, pcd, ply, poses, times};
+use crate::{bin, calib, cloud, files, folder, glb, kitti_raw, map_file, obj, pcd, ply, poses, times};
 
 const PATH: &str = "input";
 
@@ -19,12 +19,12 @@ pub fn pickle(bytes: &[u8]) {
     }
 }
 
-/// A saved map, and what can be had of it. What can be read can be repaired, to the same map.
+/// A saved map, read and repaired. What can be read can be repaired, to the same map.
 ///
 /// # Panics
 /// If it cannot.
 pub fn map(bytes: &[u8]) {
-    // As they are, and as the groups of a file with right checksums.
+    // The bytes as they are, and as the groups of a file with correct checksums.
     for file in [bytes.to_vec(), map_file::forged(bytes)] {
         let read = map_file::parse(Path::new(PATH), file.as_slice());
         let repaired = map_file::repair_bytes(Path::new(PATH), &file);
@@ -32,6 +32,49 @@ pub fn map(bytes: &[u8]) {
             let same = repaired.is_ok_and(|r| r.map == read && r.damage.places.is_empty());
             assert!(same, "what can be read can be repaired");
         }
+    }
+}
+
+/// Packed blocks, as a store has them. What is unpacked can be packed and unpacked again as the same.
+///
+/// # Panics
+/// If it is another.
+pub fn packed(bytes: &[u8]) {
+    let unpacked = |bytes: &[u8]| {
+        let mut blocks = Vec::new();
+        let done = map_file::unpack(bytes, |index, block| {
+            blocks.push((index, block));
+            Ok(())
+        });
+        done.map(|()| blocks)
+    };
+    // The bytes as they are, and as groups with correct checksums.
+    let forged = map_file::forged(bytes);
+    for groups in [bytes, map_file::groups(&forged)] {
+        if let Ok(blocks) = unpacked(groups) {
+            let again = map_file::pack(blocks.iter().map(|(index, block)| (*index, block)));
+            assert!(
+                unpacked(&again).is_ok_and(|again| again == blocks),
+                "what is packed is unpacked"
+            );
+        }
+    }
+}
+
+/// The side files of a scan, and the times in its name.
+pub fn columns(bytes: &[u8]) {
+    let path = Path::new(PATH);
+    let _ = bin::column(path, bytes, bytes.len() / 2, u16::from_le_bytes);
+    if let Ok(secs) = bin::column(path, bytes, bytes.len() / 4, f32::from_le_bytes) {
+        let _ = cloud::checked_offsets(path, secs);
+    }
+    if let Ok(secs) = bin::column(path, bytes, bytes.len() / 8, f64::from_le_bytes) {
+        for scan_secs in [None, Some(0.0), Some(1.5e9)] {
+            let _ = cloud::offsets(path, &secs, scan_secs);
+        }
+    }
+    if let Ok(name) = std::str::from_utf8(bytes) {
+        let _ = files::secs_in_name(name);
     }
 }
 
@@ -46,7 +89,7 @@ pub fn ply_cloud(bytes: &[u8]) {
     let _ = ply::parse_cloud(Path::new(PATH), bytes);
 }
 
-/// A PLY mesh; what was read is written and read again as the same.
+/// A PLY mesh. What is read can be written and read again as the same.
 ///
 /// # Panics
 /// If it is another.
@@ -115,7 +158,7 @@ pub fn depth_image(bytes: &[u8]) {
     let Ok(size) = ImageSize::read(Path::new(PATH), bytes) else {
         return;
     };
-    // What is larger is decoded in the same way, only slowly.
+    // Larger images are decoded in the same way, but slowly.
     if size.width * size.height <= 1 << 16 {
         let _ = image::depths(Path::new(PATH), bytes, &size);
         let _ = image::mask(Path::new(PATH), bytes, &size);
@@ -139,4 +182,40 @@ pub fn rgbd(bytes: &[u8]) {
 pub fn pandaset(bytes: &[u8]) {
     let _ = frames::parse_poses(Path::new(PATH), bytes);
     let _ = frames::parse_times(Path::new(PATH), bytes, 3);
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn any_packed_blocks_and_columns_are_bearable(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+            packed(&bytes);
+            columns(&bytes);
+        }
+
+        #[test]
+        fn damaged_groups_are_bearable(
+            marks in prop::collection::vec(1u32..1000, 1..4),
+            damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..4),
+        ) {
+            use tsdfuse::{glam::IVec3, index::BlockIndex, map::{Block, Voxel}};
+            let blocks: Vec<_> = (0..).zip(&marks).map(|(x, &weight_sum)| {
+                let voxel = Voxel { weight_sum, distance_sum: 0 };
+                (BlockIndex(IVec3::X * x), Block { voxels: [voxel; 512] })
+            }).collect();
+            let mut bytes = map_file::pack(blocks.iter().map(|(index, block)| (*index, block)));
+            for (at, value) in damage {
+                let at = at.index(bytes.len());
+                bytes[at] = value;
+            }
+            packed(&bytes);
+            // The same within correct checksums.
+            let group = &bytes[28..];
+            packed(&[&[marks.len() as u8], &(group.len() as u16).to_le_bytes()[..], group].concat());
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! Saved maps: blocks in groups, each compressed, marked and with checksums. `docs/map-format.md` describes every byte.
+//! Saved maps: groups of blocks, each compressed, marked and with checksums. `docs/map-format.md` describes every byte.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
@@ -45,7 +45,7 @@ pub fn write(path: impl AsRef<Path>, map: &VoxelMap) -> Result<()> {
     crate::atomic::write(path, |out| write_to(out, map))
 }
 
-/// Writes a map; beside it there is never more than one group of blocks in memory.
+/// Writes a map. This takes memory for one group of blocks only.
 ///
 /// # Errors
 /// What the system says.
@@ -61,7 +61,7 @@ pub fn write_to(out: impl Write, map: &VoxelMap) -> io::Result<()> {
 /// Reads a saved map.
 ///
 /// # Errors
-/// Names the file and, where its bytes are not as they were written, the group of blocks.
+/// Names the file, and the group of blocks that is not as it was written.
 pub fn read(path: impl AsRef<Path>) -> Result<VoxelMap> {
     Reader::open(path)?.map()
 }
@@ -71,8 +71,8 @@ pub(crate) fn parse(path: &Path, bytes: impl Read) -> Result<VoxelMap> {
     Reader::new(path, bytes)?.map()
 }
 
-/// A file whose groups are made of any bytes, with right checksums: for each the first byte tells how many blocks it promises, the next
-/// two how many bytes follow.
+/// For fuzzing: a file with correct checksums whose groups are made of any bytes. For each group, the first byte says how many blocks
+/// it claims, and the next two how many bytes follow.
 pub(crate) fn forged(mut bytes: &[u8]) -> Vec<u8> {
     let header = format::Header::bytes(&MapConfig::default(), 0);
     let mut file = [&header[..], &format::checksum(&[&header]).to_le_bytes()].concat();
@@ -85,6 +85,12 @@ pub(crate) fn forged(mut bytes: &[u8]) -> Vec<u8> {
     }
     file.extend(format::end_bytes(&header, blocks));
     file
+}
+
+/// For fuzzing: the groups of such a file.
+pub(crate) fn groups(file: &[u8]) -> &[u8] {
+    file.get(format::HEADER + 4..file.len() - (format::END + 4))
+        .unwrap_or_default()
 }
 
 impl Reader<BufReader<File>> {

@@ -1,8 +1,8 @@
-//! PLY, the Stanford polygon format: meshes are written and read, point clouds are read.
+//! PLY, the Stanford polygon format: reads and writes meshes, reads point clouds.
 //!
-//! Read are `ascii`, `binary_little_endian` and `binary_big_endian` with any elements in any order. A point cloud's
-//! `vertex` properties mean what [`columns`](crate::columns) says; of a mesh, positions, normals and faces are read, faces
-//! with more than three corners as fans of triangles.
+//! The readers accept `ascii`, `binary_little_endian` and `binary_big_endian`, with any elements in any order.
+//! [`columns`](crate::columns) says what the `vertex` properties of a point cloud mean. Of a mesh, positions, normals and faces are
+//! read; a face with more than three corners becomes a fan of triangles.
 
 mod body;
 mod cloud;

@@ -1,4 +1,4 @@
-//! What the bytes of a saved map are.
+//! The bytes of a saved map.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -16,17 +16,18 @@ pub(super) const VERSION: u32 = 2;
 pub(super) const GROUP_MARK: [u8; 8] = *b"TSDFGRP\n";
 /// Marks the end of the groups.
 pub(super) const END_MARK: [u8; 8] = *b"TSDFEND\n";
-/// Magic, version, weight scale, voxel size, truncation, largest weight, number of integrations; its checksum follows.
+/// Bytes of magic, version, weight scale, voxel size, truncation, largest weight and number of integrations. Their checksum
+/// follows.
 pub(super) const HEADER: usize = 40;
-/// Of version 1: the number of blocks instead of that of integrations.
+/// The same in version 1, which has the number of blocks instead of that of integrations.
 pub(super) const HEADER_1: usize = 44;
-/// Mark, number, blocks, compressed bytes, their checksum; the checksum of these follows.
+/// Bytes of mark, number, blocks, length of the compressed bytes, and their checksum. The checksum of these follows.
 pub(super) const GROUP_HEADER: usize = 24;
-/// Mark, header, number of blocks; the checksum of these follows.
+/// Bytes of mark, header and number of blocks. Their checksum follows.
 pub(super) const END: usize = 16 + HEADER;
 /// Blocks in a group; the last one may hold fewer.
 pub(super) const GROUP: usize = 256;
-/// Three coordinates, then two sums for each voxel.
+/// Bytes of a block: three coordinates, then two sums for each voxel.
 pub(super) const BLOCK: usize = 12 + 8 * BLOCK_VOXELS;
 
 /// Why a part of the file cannot be read.
@@ -56,7 +57,11 @@ impl From<io::Error> for Wrong {
 
 impl From<MapError> for Wrong {
     fn from(error: MapError) -> Self {
-        Self::Reason(error.to_string())
+        match error {
+            // The file is not to blame.
+            MapError::OutOfMemory(e) => Self::System(io::Error::new(io::ErrorKind::OutOfMemory, e)),
+            error => Self::Reason(error.to_string()),
+        }
     }
 }
 
@@ -64,15 +69,15 @@ pub(super) fn wrong<T>(reason: impl Into<String>) -> Result<T, Wrong> {
     Err(Wrong::Reason(reason.into()))
 }
 
-pub(super) const CHANGED: &str = "the checksum is another: bytes were changed or lost";
+pub(super) const CHANGED: &str = "the checksum does not match: bytes were changed or lost";
 
-/// What stands before the blocks.
+/// What precedes the groups.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Header {
     pub(super) version: u32,
     pub(super) config: MapConfig,
     pub(super) integrations: u32,
-    /// Only of version 1.
+    /// Only in version 1.
     pub(super) blocks: Option<u64>,
 }
 
@@ -138,7 +143,7 @@ impl Header {
     }
 }
 
-/// What stands before the blocks of a group of version 2.
+/// What precedes the blocks of a group (version 2).
 pub(super) struct GroupHeader {
     pub(super) number: u32,
     pub(super) blocks: usize,
@@ -178,16 +183,16 @@ impl GroupHeader {
         Ok(header)
     }
 
-    /// Checks the compressed bytes of its blocks and unpacks them.
+    /// Checks the compressed bytes of the group and decompresses its blocks.
     pub(super) fn unpack(&self, packed: &[u8], plain: &mut Vec<u8>) -> Result<(), Wrong> {
-        match checksum(&[packed]) == self.checksum {
-            true => unpack(packed, self.blocks, plain),
-            false => wrong(CHANGED),
+        if checksum(&[packed]) != self.checksum {
+            return wrong(CHANGED);
         }
+        unpack(packed, self.blocks, plain)
     }
 }
 
-/// The end, its checksum included.
+/// The bytes of the end, with their checksum.
 pub(super) fn end_bytes(header: &[u8; HEADER], blocks: u64) -> Vec<u8> {
     let mut bytes = END_MARK.to_vec();
     bytes.extend(header);
@@ -196,7 +201,7 @@ pub(super) fn end_bytes(header: &[u8; HEADER], blocks: u64) -> Vec<u8> {
     bytes
 }
 
-/// What follows the mark of the end: the header once more, and the number of blocks.
+/// Reads what follows the mark of the end: a copy of the header, and the number of blocks.
 pub(super) fn read_end(bytes: &mut impl Read) -> Result<(Header, u64), Wrong> {
     let fields: [u8; END - 8] = array(bytes)?;
     if u32::from_le_bytes(array(bytes)?) != checksum(&[&END_MARK, &fields]) {
@@ -206,15 +211,15 @@ pub(super) fn read_end(bytes: &mut impl Read) -> Result<(Header, u64), Wrong> {
     Ok((Header::parse(header)?, u64::from_le_bytes(array(&mut blocks)?)))
 }
 
-/// Refuses more compressed bytes than so many blocks can take.
+/// Refuses more compressed bytes than this number of blocks can take.
 pub(super) fn check_length(length: usize, blocks: usize) -> Result<(), Wrong> {
-    match length > get_maximum_output_size(blocks * BLOCK) {
-        true => wrong(format!("{length} bytes are more than its blocks can take")),
-        false => Ok(()),
+    if length > get_maximum_output_size(blocks * BLOCK) {
+        return wrong(format!("{length} bytes are more than its blocks can take"));
     }
+    Ok(())
 }
 
-/// Unpacks the blocks of a group.
+/// Decompresses the blocks of a group.
 pub(super) fn unpack(packed: &[u8], blocks: usize, plain: &mut Vec<u8>) -> Result<(), Wrong> {
     plain.resize(blocks * BLOCK, 0);
     match decompress_into(packed, plain) {
@@ -233,7 +238,7 @@ pub(super) fn push_block(index: BlockIndex, block: &Block, plain: &mut Vec<u8>) 
     }
 }
 
-/// The block that these bytes are.
+/// Parses a block.
 pub(super) fn block_of(mut bytes: &[u8]) -> io::Result<(BlockIndex, Block)> {
     let mut coordinate = || array(&mut bytes).map(i32::from_le_bytes);
     let index = BlockIndex(IVec3::new(coordinate()?, coordinate()?, coordinate()?));
@@ -249,7 +254,7 @@ pub(super) fn block_of(mut bytes: &[u8]) -> io::Result<(BlockIndex, Block)> {
     Ok((index, block))
 }
 
-/// CRC-32 of some parts, one after the other.
+/// The CRC-32 of some parts, one after the other.
 pub(super) fn checksum(parts: &[&[u8]]) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     parts.iter().for_each(|part| hasher.update(part));

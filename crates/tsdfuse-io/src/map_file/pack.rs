@@ -1,4 +1,4 @@
-//! Blocks as bytes, for keeping them elsewhere than in a map file: as its groups are.
+//! Blocks as bytes, to keep them elsewhere than in a map file, in the same form as its groups.
 
 use std::io::{self, Error, ErrorKind};
 
@@ -28,11 +28,12 @@ pub fn pack<'a>(blocks: impl IntoIterator<Item = (BlockIndex, &'a Block)>) -> Ve
 /// Hands out blocks that were packed.
 ///
 /// # Errors
-/// `InvalidData` says what is wrong with the bytes, or why `take` did not want a block.
+/// `InvalidData` says what is wrong with the bytes, or why `take` refused a block; `OutOfMemory` if there is no memory for it.
 pub fn unpack(mut packed: &[u8], mut take: impl FnMut(BlockIndex, Block) -> Result<(), MapError>) -> io::Result<()> {
     let mut plain = Vec::new();
     while !packed.is_empty() {
         group(&mut packed, &mut plain, &mut take).map_err(|e| match e {
+            Wrong::System(e) if e.kind() == ErrorKind::OutOfMemory => e,
             Wrong::System(e) => Error::new(ErrorKind::InvalidData, e),
             Wrong::Reason(reason) => Error::new(ErrorKind::InvalidData, reason),
         })?;

@@ -1,4 +1,4 @@
-//! Reading a map group by group.
+//! Reads a map group by group.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -13,8 +13,8 @@ use super::format::{
 };
 use crate::error::{Error, Result};
 
-/// A saved map whose blocks come group by group: no more of them are in memory than the caller keeps. No more memory is taken
-/// than the bytes there can fill: LZ4 makes at most 255 of one.
+/// A saved map that is read group by group, so that at most one group is in memory, about 1 MiB, and what the caller keeps. A group
+/// cannot claim more.
 #[derive(Debug)]
 pub struct Reader<R> {
     path: PathBuf,
@@ -60,7 +60,7 @@ impl<R: Read> Reader<R> {
         self.header.version > 1
     }
 
-    /// All of it.
+    /// Reads all of it into a map.
     ///
     /// # Errors
     /// As [`Reader::for_each_block`].
@@ -74,7 +74,7 @@ impl<R: Read> Reader<R> {
     /// Hands out the blocks: region by region and sorted within each (version 1: sorted).
     ///
     /// # Errors
-    /// Names the file and the group of blocks in which something is wrong, or whose block `take` did not want.
+    /// Names the file and the group of blocks in which something is wrong, or a block of which `take` refused.
     pub fn for_each_block(mut self, mut take: impl FnMut(BlockIndex, Block) -> Result<(), MapError>) -> Result<()> {
         let mut last = None;
         loop {
@@ -120,7 +120,7 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Unpacks the next group; false after the last one.
+    /// Reads the next group; false after the last one.
     fn next_group(&mut self) -> Result<bool, Wrong> {
         match self.header.blocks {
             Some(count) => self.next_group_1(count),
@@ -132,13 +132,13 @@ impl<R: Read> Reader<R> {
         let mark: [u8; 8] = array(&mut self.bytes)?;
         if mark == END_MARK {
             let (header, blocks) = read_end(&mut self.bytes)?;
-            return match (header, blocks) == (self.header, self.blocks) {
-                true => Ok(false),
-                false => wrong(format!(
+            if (header, blocks) != (self.header, self.blocks) {
+                return wrong(format!(
                     "the file ends after {} blocks; at its end it says that it has {blocks}, or has another header",
                     self.blocks
-                )),
-            };
+                ));
+            }
+            return Ok(false);
         }
         if mark != GROUP_MARK {
             return wrong(CHANGED);

@@ -1,9 +1,10 @@
-//! What can be had of a damaged map: every group that is as it was written.
+//! Recovers from a damaged map every group that is intact.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
 use serde::Serialize;
-use tsdfuse::VoxelMap;
+use tsdfuse::{MapConfig, VoxelMap};
 
 use super::format::{
     BLOCK, END, END_MARK, GROUP_HEADER, GROUP_MARK, GroupHeader, HEADER, Header, Wrong, block_of, read_end, wrong,
@@ -16,7 +17,7 @@ use crate::error::{Error, Result};
 pub struct Repaired {
     /// The blocks of all groups that are intact.
     pub map: VoxelMap,
-    /// What was not.
+    /// What could not be recovered.
     pub damage: Damage,
 }
 
@@ -32,18 +33,25 @@ pub struct Damage {
 /// Recovers what is intact of a saved map.
 ///
 /// # Errors
-/// Names the file; if neither its header nor the copy of it at the end is intact, or if its version is 1 and it is damaged
-/// (such files have no marks to go on from).
+/// Names the file if neither its header nor the copy at the end is intact, if its version is 1 and it is damaged (such files have
+/// no marks from which to go on), or if there is no memory for its blocks.
 pub fn repair(path: impl AsRef<Path>) -> Result<Repaired> {
     let path = path.as_ref();
     repair_bytes(path, &std::fs::read(path).map_err(Error::io(path))?)
 }
 
-/// As [`repair`], of bytes; `path` is for messages.
+/// Like [`repair`], but of bytes; `path` is for messages.
 ///
 /// # Errors
 /// As [`repair`].
 pub fn repair_bytes(path: &Path, bytes: &[u8]) -> Result<Repaired> {
+    into(path, bytes, |config| {
+        VoxelMap::new(*config).map_err(|e| Error::format(path, e.to_string()))
+    })
+}
+
+/// Like [`repair_bytes`], into the map that `new` makes.
+pub(super) fn into(path: &Path, bytes: &[u8], new: impl Fn(&MapConfig) -> Result<VoxelMap>) -> Result<Repaired> {
     let mut damage = Damage::default();
     let end = last_end(bytes);
     let header = match (Header::read(&mut &bytes[..]), &end) {
@@ -61,7 +69,7 @@ pub fn repair_bytes(path: &Path, bytes: &[u8]) -> Result<Repaired> {
         }
         (Err(wrong), None) => return Err(wrong.at(path, "its header")),
     };
-    let mut map = VoxelMap::new(header.config).map_err(|e| Error::format(path, e.to_string()))?;
+    let mut map = new(&header.config)?;
     map.set_integrations(header.integrations);
 
     let (mut at, mut expected) = (HEADER + 4, 0);
@@ -74,6 +82,7 @@ pub fn repair_bytes(path: &Path, bytes: &[u8]) -> Result<Repaired> {
                 }
                 (at, expected) = (next, number.saturating_add(1));
             }
+            Err(Wrong::System(e)) if e.kind() == ErrorKind::OutOfMemory => return Err(Error::io(path)(e)),
             Err(wrong) => {
                 let next = find(bytes, at + 1, &GROUP_MARK)
                     .filter(|&next| next < stop)
@@ -97,16 +106,17 @@ pub fn repair_bytes(path: &Path, bytes: &[u8]) -> Result<Repaired> {
     Ok(Repaired { map, damage })
 }
 
-/// Groups that did not come, counted from 1 as in all messages.
+/// Says which groups are missing, counted from 1 as in all messages.
 fn missing(expected: u32, number: u32) -> String {
     let (first, last) = (u64::from(expected) + 1, u64::from(number));
-    match first >= last {
-        true => format!("group {first} is lost"),
-        false => format!("groups {first} to {last} are lost"),
+    if first >= last {
+        format!("group {first} is lost")
+    } else {
+        format!("groups {first} to {last} are lost")
     }
 }
 
-/// Puts the group that begins at a byte into the map; its number, and where the next one begins.
+/// Puts the group that begins at a byte into the map. Returns its number, and where the next one begins.
 fn group(bytes: &[u8], at: usize, map: &mut VoxelMap) -> Result<(u32, usize), Wrong> {
     let rest = bytes.get(at..).unwrap_or_default();
     if !rest.starts_with(&GROUP_MARK) {
@@ -126,10 +136,10 @@ fn group(bytes: &[u8], at: usize, map: &mut VoxelMap) -> Result<(u32, usize), Wr
     Ok((header.number, at + start + header.length))
 }
 
-/// The last intact end: the copy of the header, the number of blocks, and where it begins.
+/// Finds the last intact end: the copy of the header, the number of blocks, and where the end begins.
 fn last_end(bytes: &[u8]) -> Option<(Header, u64, usize)> {
     let mut found = None;
-    // Where it should be, else anywhere.
+    // First where it should be, otherwise anywhere.
     let mut at = bytes.len().checked_sub(END + 4)?;
     if !bytes[at..].starts_with(&END_MARK) {
         at = 0;
@@ -143,7 +153,7 @@ fn last_end(bytes: &[u8]) -> Option<(Header, u64, usize)> {
     found
 }
 
-/// Where a mark comes next.
+/// The next place of a mark.
 fn find(bytes: &[u8], from: usize, mark: &[u8; 8]) -> Option<usize> {
     let rest = bytes.get(from..)?;
     rest.windows(mark.len())

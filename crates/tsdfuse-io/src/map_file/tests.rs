@@ -359,3 +359,25 @@ proptest! {
         let _ = parsed(&forged_packed(count, &GroupHeader::bytes(0, count as usize, &bytes), &bytes));
     }
 }
+
+#[test]
+fn a_map_without_memory_is_not_taken_for_a_damaged_file() {
+    let limited = || {
+        let mut map = VoxelMap::new(MapConfig::default()).unwrap();
+        map.set_memory_limit(0);
+        map
+    };
+    let told = "the map needs more than 0.0 MiB, its memory limit";
+    let mut map = limited();
+    let reader = Reader::new("a.tsdf", saved(&self::map()).as_slice()).unwrap();
+    let error = reader.for_each_block(|index, block| map.insert_block(index, block));
+    assert_eq!(error.unwrap_err().to_string(), format!("a.tsdf: {told}"));
+    let packed = pack([(BlockIndex(IVec3::ZERO), &Block::EMPTY)]);
+    let error = unpack(&packed, |index, block| limited().insert_block(index, block)).unwrap_err();
+    assert_eq!(
+        (error.kind(), error.to_string()),
+        (io::ErrorKind::OutOfMemory, told.to_owned())
+    );
+    let error = repair::into(Path::new("a.tsdf"), &saved(&self::map()), |_| Ok(limited())).unwrap_err();
+    assert_eq!(error.to_string(), format!("a.tsdf: {told}"));
+}

@@ -1,4 +1,4 @@
-//! Writing a map block by block.
+//! Writes a map block by block.
 
 use std::io::{self, Error, ErrorKind, Write};
 
@@ -9,7 +9,7 @@ use tsdfuse::map::Block;
 
 use super::format::{BLOCK, GROUP, GroupHeader, HEADER, Header, checksum, end_bytes, push_block};
 
-/// Writes blocks as they come: region by region, and sorted within each. Holds one group of them at a time.
+/// Writes blocks as they come, which must be region by region and sorted within each. Holds one group at a time.
 #[derive(Debug)]
 pub struct Writer<W> {
     out: W,
@@ -41,7 +41,7 @@ impl<W: Write> Writer<W> {
         })
     }
 
-    /// Adds a block, which must come after the one before: in a later region, or later in the same one.
+    /// Adds a block. It must follow the one before it: in a later region, or later in the same region.
     ///
     /// # Errors
     /// What the system says; `InvalidInput` if it is out of order.
@@ -54,10 +54,10 @@ impl<W: Write> Writer<W> {
         self.last = place;
         push_block(index, block, &mut self.plain);
         self.blocks += 1;
-        match self.plain.len() == GROUP * BLOCK {
-            true => self.group(),
-            false => Ok(()),
+        if self.plain.len() == GROUP * BLOCK {
+            self.group()?;
         }
+        Ok(())
     }
 
     /// Writes the blocks that wait.
@@ -72,7 +72,7 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// Ends the map; without this, it is a broken one.
+    /// Ends the map. Without this, the file is incomplete and readers refuse it.
     ///
     /// # Errors
     /// What the system says.

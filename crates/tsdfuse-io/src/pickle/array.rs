@@ -1,11 +1,11 @@
-//! NumPy arrays of numbers: one or two dimensions, C or Fortran order, either byte order, read where they lie.
+//! NumPy arrays of numbers: one or two dimensions, C or Fortran order, either byte order, read in place.
 
 use super::graph::{Bytes, Class, Graph, Value};
 
 /// An array of numbers, `rows × len` (a vector is one row).
 #[derive(Debug)]
 pub(super) struct Array<'a> {
-    /// Letter and bytes of the type, as NumPy writes them: `f8`.
+    /// Letter and size of the type, as NumPy writes them: `f8`.
     dtype: &'a str,
     big_endian: bool,
     fortran_order: bool,
@@ -39,7 +39,7 @@ impl<'a> Array<'a> {
         })
     }
 
-    /// One row, as `f64`: exact for all types but 64-bit integers above 2⁵³.
+    /// One row, as `f64`: exact for all types except 64-bit integers above 2⁵³.
     pub(super) fn row(&self, row: usize) -> Vec<f64> {
         match self.dtype {
             "f8" => self.convert(row, f64::from_le_bytes),
@@ -56,9 +56,10 @@ impl<'a> Array<'a> {
     }
 
     fn convert<const N: usize>(&self, row: usize, number: impl Fn([u8; N]) -> f64) -> Vec<f64> {
-        let (from, step, skip) = match self.fortran_order {
-            true => (0, self.rows, row * N),
-            false => (row * self.len * N, 1, 0),
+        let (from, step, skip) = if self.fortran_order {
+            (0, self.rows, row * N)
+        } else {
+            (row * self.len * N, 1, 0)
         };
         let items = self.bytes.get(from..).unwrap_or_default().chunks_exact(step.max(1) * N);
         let item = |chunk: &[u8]| {
@@ -72,7 +73,7 @@ impl<'a> Array<'a> {
     }
 }
 
-/// The parts of an array, as either of NumPy's two ways of pickling gives them.
+/// The parts of an array, from either of NumPy's two ways of pickling.
 struct Parts<'g, 'a> {
     shape: &'g [Value<'a>],
     dtype: Value<'a>,

@@ -4,10 +4,10 @@ use super::array::{Array, objects};
 use super::graph::{Class, Graph, Value};
 use super::machine;
 
-/// A sweep has some 170 000 returns; more rows than this are none.
+/// The most rows of a scan. A sweep has some 170 000 returns.
 const MAX_ROWS: usize = 1 << 22;
 
-/// More columns than this are no table of returns.
+/// The most columns of a scan.
 const MAX_COLUMNS: usize = 1 << 12;
 
 /// A DataFrame: named columns of numbers, all of one length.
@@ -22,10 +22,10 @@ pub(crate) struct DataFrame<'a> {
 }
 
 impl<'a> DataFrame<'a> {
-    /// Reads the structure of a pickle; numbers stay where they are.
+    /// Reads the structure of a pickle; the numbers stay in place.
     ///
     /// # Errors
-    /// Says in one line why this is no DataFrame of numbers.
+    /// One line that says why this is no DataFrame of numbers.
     pub(crate) fn new(pickle: &'a [u8]) -> Result<Self, String> {
         let graph = machine::run(pickle)?;
         let (columns, blocks) = layout(&graph).ok_or("holds no pandas DataFrame of a known layout")?;
@@ -44,7 +44,7 @@ impl<'a> DataFrame<'a> {
         Ok(frame)
     }
 
-    /// Enters a block. One that is not of numbers is an error only for whoever asks for its columns.
+    /// Adds a block. If it holds no numbers, that is an error only when one of its columns is asked for.
     fn add_block(&mut self, block: Result<Array<'a>, String>, placement: &Placement) -> Result<(), String> {
         let columns = placement.columns().unwrap_or(0);
         if let Ok(block) = &block
@@ -76,7 +76,7 @@ impl<'a> DataFrame<'a> {
     /// The numbers of a column.
     ///
     /// # Errors
-    /// There is none of that name, or it holds no numbers.
+    /// There is no such column, or it holds no numbers.
     pub(crate) fn column(&self, name: &str) -> Result<Vec<f64>, String> {
         let column = self.names.iter().position(|n| *n == Some(name));
         let column = column.ok_or_else(|| format!("no column '{name}'"))?;
@@ -107,7 +107,7 @@ fn layout<'a>(graph: &Graph<'a>) -> Option<(Value<'a>, Vec<RawBlock<'a>>)> {
             });
             (axes, blocks.collect::<Option<_>>()?)
         }
-        // Before, and in PandaSet's own files: a state whose last entry describes the blocks as of pandas 0.14.1.
+        // Before that, and in PandaSet's own files: a state whose last entry describes the blocks in the layout of pandas 0.14.1.
         _ => {
             let described = graph.get(*graph.entries(state)?.last()?, "0.14.1")?;
             let blocks = graph.entries(graph.get(described, "blocks")?)?;
@@ -132,7 +132,7 @@ fn names<'a>(graph: &Graph<'a>, index: Value<'a>) -> Option<Vec<Option<&'a str>>
     Some(labels.iter().map(|label| label.text()).collect())
 }
 
-/// The texts in a pickled Arrow array of type `large_string`: 64-bit offsets into one run of UTF-8.
+/// The strings of a pickled Arrow array of type `large_string`: 64-bit offsets into one piece of UTF-8.
 fn arrow_names<'a>(graph: &Graph<'a>, array: Value<'a>) -> Option<Vec<Option<&'a str>>> {
     let (args, _) = graph.object_of(array, Class::ArrowArray)?;
     let &[_, len, _, Value::Int(0), buffers, ..] = graph.entries(graph.entry(args, 0)?)? else {

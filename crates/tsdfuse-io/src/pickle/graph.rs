@@ -1,9 +1,9 @@
-//! What a pickle describes: plain values, containers, and objects that were never made.
+//! What a pickle describes: plain values, containers, and objects that are only described, never constructed.
 
 use std::ops::Deref;
 use std::rc::Rc;
 
-/// The classes and functions of a pickled DataFrame. Two that are read alike share an entry.
+/// The classes and functions of a pickled DataFrame. Those that are read in the same way share an entry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Class {
     DataFrame,
@@ -59,7 +59,7 @@ impl Class {
     }
 }
 
-/// A value: text and bytes lie in the input, everything compound in the graph's nodes.
+/// A value. Text and bytes stay in the input; everything compound is a node of the graph.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Value<'a> {
     None,
@@ -140,7 +140,7 @@ impl<'a> Graph<'a> {
         (class == wanted).then_some((args, state))
     }
 
-    /// Bytes, however they were written.
+    /// Bytes, in whichever way they were written.
     pub(super) fn bytes(&self, value: Value<'a>) -> Option<Bytes<'a>> {
         match (value, self.node(value)) {
             (Value::Bytes(bytes), _) => Some(Bytes::InPickle(bytes)),

@@ -36,8 +36,8 @@ impl<'a> Body<'a> {
         Ok(Self { path, numbers })
     }
 
-    /// Reads all rows of an element. `row` is called after each with its values: one for each property, 0 for lists;
-    /// and `list` with the numbers of each list and its property's place.
+    /// Reads all rows of an element. `list` is called for each list of a row, with its property's place and its numbers; then
+    /// `row` with the row's values, one for each property (0 for lists).
     pub(super) fn element(
         &mut self,
         element: &Element,
@@ -45,7 +45,7 @@ impl<'a> Body<'a> {
         mut list: impl FnMut(usize, &[f64]) -> Result<(), String>,
     ) -> Result<()> {
         if element.properties.is_empty() {
-            return Ok(()); // nothing is stored, however many there are
+            return Ok(()); // such rows take no bytes, however many the header claims
         }
         let mut values = vec![0.0; element.properties.len()];
         let mut items = Vec::new();

@@ -22,7 +22,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Cloud> {
             continue;
         }
         let properties = element.properties.iter();
-        // A list gets a name that no column has.
+        // A list is no column: it gets a name that none has.
         let fields: Vec<_> = properties
             .map(|p| (p.list.map_or(p.name.as_str(), |_| ""), p.scalar))
             .collect();

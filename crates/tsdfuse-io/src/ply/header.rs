@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::error::{Error, Result};
 use crate::scalar::Scalar;
 
-/// What a PLY file says of itself.
+/// What the header of a PLY file says.
 #[derive(Debug)]
 pub(super) struct Header {
     pub(super) encoding: Encoding,
@@ -26,7 +26,7 @@ pub(super) enum Encoding {
 #[derive(Debug)]
 pub(super) struct Element {
     pub(super) name: String,
-    /// How many there are, as the header has it.
+    /// The number of rows that the header claims.
     pub(super) count: usize,
     pub(super) properties: Vec<Property>,
 }

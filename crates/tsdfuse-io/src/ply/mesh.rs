@@ -23,7 +23,7 @@ pub fn read(path: impl AsRef<Path>) -> Result<Mesh> {
 /// Parses a PLY mesh; `path` is for messages. Normals are as in the file, or empty.
 ///
 /// # Errors
-/// Names the file, and the vertex, face or line of the header, and what is wrong: also a corner that is no vertex.
+/// Names the file, the vertex, face or header line, and what is wrong; a corner that is no vertex, for instance.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Mesh> {
     let header = Header::parse(path, bytes)?;
     let mut body = Body::new(path, bytes, &header)?;
@@ -37,7 +37,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Mesh> {
         ));
     }
     for element in &header.elements {
-        // No row takes less than a byte: what a header promises beyond that is not reserved.
+        // A row takes at least one byte, so the header cannot make us reserve more than the file has.
         let rows = element.count.min(bytes.len());
         match element.name.as_str() {
             "vertex" => {
@@ -77,7 +77,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Mesh> {
     Ok(mesh)
 }
 
-/// Where the three numbers of these names are in a row.
+/// The places in a row of three numbers with these names.
 fn numbers(element: &Element, names: [&str; 3]) -> Option<[usize; 3]> {
     let place = |name| {
         element

@@ -1,4 +1,4 @@
-//! Writing a mesh that comes in parts and is never whole in memory.
+//! Writes a mesh that comes in parts and is never in memory as a whole.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
@@ -10,10 +10,10 @@ use super::write::{Layout, in_chunks, is_far, triangle};
 use crate::atomic::{self, Temporary};
 use crate::error::{Error, Result};
 
-/// Bytes of a vertex that waits: three doubles, three floats.
+/// Bytes of a waiting vertex: three doubles, three floats.
 const VERTEX: usize = 36;
 
-/// A mesh in the making. Its parts wait in hidden files beside the one that [`Stream::finish`] makes of them.
+/// A mesh that is being written. Its parts wait in hidden files beside the final one, which [`Stream::finish`] puts together.
 #[derive(Debug)]
 pub struct Stream {
     path: PathBuf,
@@ -22,7 +22,7 @@ pub struct Stream {
     double: bool,
 }
 
-/// Things of one kind that wait.
+/// The vertices or the triangles that wait.
 #[derive(Debug)]
 struct Waiting {
     count: u64,
@@ -49,7 +49,7 @@ impl Waiting {
 }
 
 impl Stream {
-    /// Begins a mesh with normals that is to become a file.
+    /// Begins a mesh with normals; the file appears with [`Self::finish`].
     ///
     /// # Errors
     /// Names the file and what the system says.
@@ -82,7 +82,7 @@ impl Stream {
         })
     }
 
-    /// Adds triangles between vertices that were added, numbered through all parts.
+    /// Adds triangles. Vertices are numbered in the order in which they were added, through all parts.
     ///
     /// # Errors
     /// What the system says.
@@ -113,16 +113,15 @@ impl Stream {
         atomic::write(path, |out| {
             layout.header(out, vertices, Some(triangles))?;
             let mut waiting = self.vertices.read()?;
-            match self.double {
-                true => drop(io::copy(&mut waiting, out)?),
-                false => {
-                    let mut bytes = Vec::with_capacity(VERTEX);
-                    for _ in 0..vertices {
-                        bytes.clear();
-                        let (position, normal) = vertex(&mut waiting)?;
-                        layout.vertex(position, Some(&normal), &mut bytes);
-                        out.write_all(&bytes)?;
-                    }
+            if self.double {
+                io::copy(&mut waiting, out)?;
+            } else {
+                let mut bytes = Vec::with_capacity(VERTEX);
+                for _ in 0..vertices {
+                    bytes.clear();
+                    let (position, normal) = vertex(&mut waiting)?;
+                    layout.vertex(position, Some(&normal), &mut bytes);
+                    out.write_all(&bytes)?;
                 }
             }
             io::copy(&mut self.triangles.read()?, out).map(drop)

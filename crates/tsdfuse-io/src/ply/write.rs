@@ -8,7 +8,7 @@ use tsdfuse::glam::{DVec3, Vec3};
 
 use crate::error::Result;
 
-/// Below this, coordinates are stored as `float`, which moves them by no more than 0.03 mm; above as `double`.
+/// Coordinates below this are stored as `float`, which rounds them by 0.03 mm at most; from here on as `double`.
 const FLOAT_LIMIT_M: f64 = 1000.0;
 
 /// Writes a mesh to a file, which appears when it is complete.
@@ -73,12 +73,12 @@ fn write_parts(mut out: impl Write, mesh: &Mesh, colors: Option<&[[u8; 3]]>) -> 
     })
 }
 
-/// Whether a vertex is so far from the origin that it takes doubles.
+/// Whether a vertex is so far from the origin that it needs doubles.
 pub(super) fn is_far(vertex: DVec3) -> bool {
     vertex.abs().max_element() >= FLOAT_LIMIT_M
 }
 
-/// What a vertex has.
+/// What is stored of a vertex.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layout {
     pub(super) double: bool,
@@ -87,7 +87,7 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// Of a mesh without colours.
+    /// The layout of a mesh without colours.
     fn of(mesh: &Mesh) -> io::Result<Self> {
         Ok(Self {
             double: mesh.vertices.iter().any(|v| is_far(*v)),
@@ -120,9 +120,10 @@ impl Layout {
 
     /// Appends a vertex, without its colour.
     pub(super) fn vertex(self, position: DVec3, normal: Option<&Vec3>, bytes: &mut Vec<u8>) {
-        match self.double {
-            true => position.to_array().iter().for_each(|c| bytes.extend(c.to_le_bytes())),
-            false => floats(position.as_vec3(), bytes),
+        if self.double {
+            position.to_array().iter().for_each(|c| bytes.extend(c.to_le_bytes()));
+        } else {
+            floats(position.as_vec3(), bytes);
         }
         normal.into_iter().for_each(|normal| floats(*normal, bytes));
     }
@@ -148,19 +149,17 @@ pub(crate) fn has_normals(mesh: &Mesh) -> io::Result<bool> {
     Ok(normals > 0)
 }
 
-/// Refuses colours for some vertices only.
+/// Refuses another number of colours than of vertices.
 pub(crate) fn one_color_each(mesh: &Mesh, colors: &[[u8; 3]]) -> io::Result<()> {
     let (vertices, colors) = (mesh.vertices.len(), colors.len());
-    match vertices == colors {
-        true => Ok(()),
-        false => {
-            let reason = format!("the mesh has {vertices} vertices but {colors} colours");
-            Err(io::Error::new(io::ErrorKind::InvalidInput, reason))
-        }
+    if vertices == colors {
+        return Ok(());
     }
+    let reason = format!("the mesh has {vertices} vertices but {colors} colours");
+    Err(io::Error::new(io::ErrorKind::InvalidInput, reason))
 }
 
-/// Lets `item` append items `0..count` to a buffer, which is written out whenever it is large.
+/// Lets `item` append items `0..count` to a buffer, and writes the buffer whenever it is full.
 pub(crate) fn in_chunks(
     out: &mut impl Write,
     count: usize,

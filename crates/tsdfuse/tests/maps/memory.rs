@@ -70,16 +70,35 @@ fn blocks_from_elsewhere_are_refused_beyond_the_limit() {
     assert_eq!(map.merge(&other), Err(MapError::OutOfMemory(full)));
 }
 
-/// Set for the child below; in it, the test fills a map until there is no memory, with no limit of its own.
-const CHILD: &str = "TSDFUSE_TEST_FILLS_MEMORY";
+/// Set for the children below, which run with a limited address space.
+const CHILD: &str = "TSDFUSE_TEST_CHILD";
+
+/// Runs a test of this file in a child process that may have 2 GB of address space, and returns what it prints.
+fn in_child(test: &str, value: &str) -> String {
+    let output = Command::new("sh")
+        .args(["-c", "ulimit -v 2000000; exec \"$@\"", "sh"])
+        .arg(std::env::current_exe().unwrap())
+        .args([
+            "--exact",
+            &format!("memory::{test}"),
+            "--nocapture",
+            "--test-threads",
+            "1",
+        ])
+        .env(CHILD, value)
+        .env("RAYON_NUM_THREADS", "2")
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
 
 #[test]
 #[cfg(target_os = "linux")]
 fn an_address_space_that_is_used_up_is_an_error() {
     if let Ok(limit) = std::env::var(CHILD) {
         let mut map = map();
-        let all = map.memory_limit();
-        assert!(all < 2_000_000 << 10, "{all}");
+        assert!(map.memory_limit() < 2_000_000 << 10, "{}", map.memory_limit());
         if limit == "none" {
             map.set_memory_limit(usize::MAX);
         }
@@ -88,29 +107,45 @@ fn an_address_space_that_is_used_up_is_an_error() {
             .find_map(|(i, block)| map.insert_block(i, block).err());
         println!("{}", refused.unwrap());
         // There is still room for other things.
-        Raycast::default()
-            .integrate(&mut VoxelMap::new(*map.config()).unwrap(), &common::scan(0, 100))
-            .unwrap();
+        let mut small = VoxelMap::new(*map.config()).unwrap();
+        Raycast::default().integrate(&mut small, &common::scan(0, 100)).unwrap();
         return;
     }
     for (limit, told) in [
         ("none", "needs more memory than the system gives"),
         ("default", "its memory limit"),
     ] {
-        let program = std::env::current_exe().unwrap();
-        let output = Command::new("sh")
-            .args(["-c", "ulimit -v 2000000; exec \"$@\"", "sh"])
-            .arg(program)
-            .args([
-                "--exact",
-                "memory::an_address_space_that_is_used_up_is_an_error",
-                "--nocapture",
-            ])
-            .env(CHILD, limit)
-            .env("RAYON_NUM_THREADS", "2")
-            .output()
-            .unwrap();
-        let text = String::from_utf8_lossy(&output.stdout);
-        assert!(output.status.success() && text.contains(told), "{text}{output:?}");
+        let printed = in_child("an_address_space_that_is_used_up_is_an_error", limit);
+        assert!(printed.contains(told), "{printed}");
+    }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_room_in_voxels_of_a_tenth_of_a_millimetre_is_an_error_with_each_method() {
+    if std::env::var(CHILD).is_err() {
+        let printed = in_child(
+            "a_room_in_voxels_of_a_tenth_of_a_millimetre_is_an_error_with_each_method",
+            "",
+        );
+        assert!(printed.matches("its memory limit").count() >= 4, "{printed}");
+        return;
+    }
+    for &method in Method::ALL {
+        let mut map = VoxelMap::new(MapConfig {
+            voxel_size_m: 1e-4,
+            truncation_m: 64e-4,
+            ..Default::default()
+        })
+        .unwrap();
+        map.set_memory_limit(256 << 20);
+        let mut integrator = method.build(&FuseConfig::default(), None);
+        let done = integrator.integrate(&mut map, &common::scan(0, 30_000));
+        let done = done.and_then(|_| integrator.finish(&mut map));
+        println!(
+            "{}: {}",
+            method.name(),
+            done.map_or_else(|e| e.to_string(), |_| "done".to_owned())
+        );
     }
 }
