@@ -73,10 +73,10 @@ fn blocks_from_elsewhere_are_refused_beyond_the_limit() {
 /// Set for the children below, which run with a limited address space.
 const CHILD: &str = "TSDFUSE_TEST_CHILD";
 
-/// Runs a test of this file in a child process that may have 2 GB of address space, and returns what it prints.
+/// Runs a test of this file in a child process that may have 1.2 GB of address space, and returns what it prints.
 fn in_child(test: &str, value: &str) -> String {
     let output = Command::new("sh")
-        .args(["-c", "ulimit -v 2000000; exec \"$@\"", "sh"])
+        .args(["-c", "ulimit -v 1200000; exec \"$@\"", "sh"])
         .arg(std::env::current_exe().unwrap())
         .args([
             "--exact",
@@ -98,7 +98,7 @@ fn in_child(test: &str, value: &str) -> String {
 fn an_address_space_that_is_used_up_is_an_error() {
     if let Ok(limit) = std::env::var(CHILD) {
         let mut map = map();
-        assert!(map.memory_limit() < 2_000_000 << 10, "{}", map.memory_limit());
+        assert!(map.memory_limit() < 1_200_000 << 10, "{}", map.memory_limit());
         if limit == "none" {
             map.set_memory_limit(usize::MAX);
         }
@@ -134,7 +134,7 @@ fn a_room_in_voxels_of_a_tenth_of_a_millimetre_is_an_error_with_each_method() {
     for &method in Method::ALL {
         let mut map = VoxelMap::new(MapConfig {
             voxel_size_m: 1e-4,
-            truncation_m: 64e-4,
+            truncation_m: 60e-4,
             ..Default::default()
         })
         .unwrap();
