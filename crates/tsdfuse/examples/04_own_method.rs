@@ -41,7 +41,7 @@ impl Integrator for DropOff {
                 })
             },
             &AlongRay,
-        ))
+        )?)
     }
 
     fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
@@ -115,7 +115,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             })
         })
     });
-    let done = simple.update(updates);
+    let done = simple.update(updates)?;
     println!(
         "{} blocks updated, {} updates left out",
         done.blocks.len(),

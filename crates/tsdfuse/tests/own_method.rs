@@ -45,7 +45,7 @@ impl Integrator for Own {
                 weight,
             })
         };
-        Ok(self.lines.run(map, placed.sorted(), |_| (), line, &Ball))
+        Ok(self.lines.run(map, placed.sorted(), |_| (), line, &Ball)?)
     }
 
     fn reach(&self, map: &MapConfig, scan: &Scan) -> Result<Reach, FuseError> {
@@ -110,24 +110,26 @@ fn single_updates_sum_up_as_the_engine_s() {
     };
     let (mut single, mut gathered) = (VoxelMap::new(config).unwrap(), VoxelMap::new(config).unwrap());
     let updates = updates();
-    let done = single.update(updates.iter().copied());
+    let done = single.update(updates.iter().copied()).unwrap();
     // Limited after each update there, after all of a block here: so few at a time that no limit is reached between.
     let mut engine = Gather::<VoxelUpdate>::default();
-    let all = engine.run(
-        &mut gathered,
-        updates.len(),
-        |items, near| items.for_each(|i| near.block(BlockIndex::of(updates[i].voxel), i as u32, updates[i])),
-        |_| false,
-        |_, items, sums| {
-            for update in items.iter() {
-                sums.add(
-                    local_number(update.voxel),
-                    update.distance_m * (1.0 / 0.2),
-                    update.weight,
-                );
-            }
-        },
-    );
+    let all = engine
+        .run(
+            &mut gathered,
+            updates.len(),
+            |items, near| items.for_each(|i| near.block(BlockIndex::of(updates[i].voxel), i as u32, updates[i])),
+            |_| false,
+            |_, items, sums| {
+                for update in items.iter() {
+                    sums.add(
+                        local_number(update.voxel),
+                        update.distance_m * (1.0 / 0.2),
+                        update.weight,
+                    );
+                }
+            },
+        )
+        .unwrap();
     let (mut blocks, mut others) = (done.blocks.clone(), all.updated_blocks);
     blocks.sort_unstable();
     others.sort_unstable();
@@ -175,21 +177,23 @@ fn what_is_no_observation_is_left_out_and_counted() {
             ..good
         },
     ];
-    let done = map.update(bad);
+    let done = map.update(bad).unwrap();
     assert_eq!((done.blocks.len(), done.left_out, map.block_count()), (0, 6, 0));
     // What is too far or too heavy is limited.
-    let done = map.update([
-        good,
-        VoxelUpdate {
-            distance_m: f32::INFINITY,
-            weight: f32::INFINITY,
-            ..good
-        },
-        VoxelUpdate {
-            distance_m: -9.0,
-            ..good
-        },
-    ]);
+    let done = map
+        .update([
+            good,
+            VoxelUpdate {
+                distance_m: f32::INFINITY,
+                weight: f32::INFINITY,
+                ..good
+            },
+            VoxelUpdate {
+                distance_m: -9.0,
+                ..good
+            },
+        ])
+        .unwrap();
     assert_eq!((done.blocks.len(), done.left_out), (1, 0));
     let voxel = map.voxel(good.voxel);
     assert_eq!(voxel.weight(), 3.0);

@@ -104,6 +104,9 @@ impl<T: Item> Gather<T> {
     /// `update` is called once per block on any thread, with the items that named the block, in order (and again for each further
     /// 256 items). It must update a voxel at most 64 times for each item, or sums overflow. Blocks are made only if they get an
     /// update.
+    ///
+    /// # Errors
+    /// There is no memory for a block, and a part of the updates is made; or more blocks are named than can have memory.
     pub fn run(
         &mut self,
         map: &mut VoxelMap,

@@ -239,6 +239,9 @@ impl Lines {
     /// `ask` is called some items ahead of `make`, to prefetch what the line will be made of; `|_| ()` will do.
     ///
     /// Lines must be valid: an axis of unit length and a finite reach, as debug builds check.
+    ///
+    /// # Errors
+    /// There is no memory for a block; a part of the updates is made.
     pub fn run<R: Rule>(
         &mut self,
         map: &mut VoxelMap,

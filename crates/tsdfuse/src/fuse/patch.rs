@@ -27,7 +27,7 @@ use super::{
     placed::{Order, Placed},
 };
 use crate::{
-    map::{MapConfig, VoxelMap},
+    map::{MapConfig, OutOfMemory, VoxelMap},
     memory::prefetch,
     patch::{Limits, Patches, widest_gap_m},
     reach::Reach,
@@ -47,6 +47,9 @@ pub const FULL_BEHIND: f32 = 1.0;
 
 /// Patches between returns are this far apart, in voxels: lines of radius √3/2 still overlap.
 pub const STEP: f32 = 1.5;
+
+/// For so many bytes of the map's memory limit, there may be one patch between returns, which takes a third of that with its line.
+const LIMIT_PER_PATCH: usize = 512;
 
 /// Weight where there is no plane.
 pub const RAY_WEIGHT: f32 = 0.1;
@@ -148,10 +151,14 @@ impl Integrator for Patch {
             noise_m: self.config.noise_m,
             step_m: STEP * grid.voxel_size_m() as f32,
             max_gap_m: self.config.max_gap_m,
+            most: map.memory_limit() / LIMIT_PER_PATCH,
         };
         let column_rad = sensor.column_width_rad() as f32;
         self.patches
-            .update(image, &placed.points, &placed.origins, column_rad, &limits);
+            .update(image, &placed.points, &placed.origins, column_rad, &limits)
+            .ok_or(OutOfMemory::Limit {
+                limit_bytes: map.memory_limit(),
+            })?;
         let (returns, patches) = (placed.len(), &self.patches.all);
         self.order.sort(grid, anchor, patches.len(), |i| patches[i].center);
         let prepare_secs = start.elapsed().as_secs_f64();

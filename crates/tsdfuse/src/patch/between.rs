@@ -25,6 +25,9 @@ pub fn widest_gap_m(max_gap_m: f32, range_m: f32) -> f32 {
     max_gap_m * (range_m / FAR_M).max(1.0)
 }
 
+/// Patches are made in any case up to this many for each return, whatever [`Limits::most`] says.
+const ALWAYS: usize = 16;
+
 /// Finds patches between those of neighbouring returns (next ring, next column), at most `step_m` apart. Where columns are denser than
 /// that, only every second, fourth, … is linked to the next ring. Keeps its buffers.
 #[derive(Debug, Default)]
@@ -33,11 +36,18 @@ pub(super) struct Between {
 }
 
 impl Between {
-    /// Appends them.
-    pub(super) fn append_to(&mut self, all: &mut Vec<Patch>, image: &ScanImage, column_rad: f32, limits: &Limits) {
+    /// Appends them; `None` if there are too many of them, because voxels are very small.
+    pub(super) fn append_to(
+        &mut self,
+        all: &mut Vec<Patch>,
+        image: &ScanImage,
+        column_rad: f32,
+        limits: &Limits,
+    ) -> Option<()> {
         let count = all.len();
         self.parts.resize_with(count.div_ceil(PART), Vec::new);
-        self.parts.par_iter_mut().enumerate().for_each(|(part, between)| {
+        let room = (limits.most / self.parts.len().max(1)).max(ALWAYS * PART);
+        self.parts.par_iter_mut().enumerate().try_for_each(|(part, between)| {
             between.clear();
             for i in part * PART..((part + 1) * PART).min(count) {
                 let Some((ring, column)) = image.place_of(i) else {
@@ -48,12 +58,18 @@ impl Between {
                 let above = image.get(ring + 1, column).filter(|_| column % nth(dense) == 0);
                 for other in [above, image.get(ring, next)].into_iter().flatten() {
                     if let Some(kind) = linked(&all[i], &all[other], limits) {
-                        between.extend(on_the_way(&all[i], &all[other], kind, limits.step_m));
+                        let more = on_the_way(&all[i], &all[other], kind, limits.step_m);
+                        if more.len() > room - between.len() {
+                            return None;
+                        }
+                        between.extend(more);
                     }
                 }
             }
-        });
+            Some(())
+        })?;
         self.parts.iter().for_each(|part| all.extend_from_slice(part));
+        Some(())
     }
 }
 
@@ -93,7 +109,7 @@ fn linked(a: &Patch, b: &Patch, limits: &Limits) -> Option<Kind> {
 
 /// Patches between two.
 #[inline(always)]
-fn on_the_way(a: &Patch, b: &Patch, kind: Kind, step_m: f32) -> impl Iterator<Item = Patch> {
+fn on_the_way(a: &Patch, b: &Patch, kind: Kind, step_m: f32) -> impl ExactSizeIterator<Item = Patch> {
     let steps = (a.center.distance(b.center) / step_m).ceil();
     (1..steps as usize).map(move |k| {
         let mixed = |a: Vec3, b: Vec3| a + (b - a) * (k as f32 / steps);
@@ -119,6 +135,7 @@ mod tests {
         noise_m: 0.02,
         step_m: 0.075,
         max_gap_m: 0.4,
+        most: usize::MAX,
     };
 
     fn patch(center: Vec3, normal: Vec3, kind: Kind) -> Patch {

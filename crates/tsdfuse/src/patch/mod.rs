@@ -87,6 +87,8 @@ impl Patches {
     /// A return's window reaches as far along rings and columns as [`Limits::window_m`] does at its range. If its returns do not
     /// lie in a plane, halves of it are tried, so that planes end at edges: of those that are planes the one with
     /// the smallest residual is taken.
+    ///
+    /// `None` if there are too many patches between returns ([`Limits::most`]).
     pub(crate) fn update(
         &mut self,
         image: &ScanImage,
@@ -94,7 +96,7 @@ impl Patches {
         origins: &[Vec3],
         column_rad: f32,
         limits: &Limits,
-    ) {
+    ) -> Option<()> {
         self.sums.update(image, points);
         self.all.clear();
         self.all.extend(points.iter().map(|&center| Patch {
@@ -123,7 +125,7 @@ impl Patches {
             let planes = returns.iter().zip(patches).filter(|(_, patch)| patch.is_plane());
             planes.for_each(|(&i, &patch)| self.all[i as usize] = patch);
         }
-        self.between.append_to(&mut self.all, image, column_rad, limits);
+        self.between.append_to(&mut self.all, image, column_rad, limits)
     }
 }
 
@@ -379,6 +381,7 @@ mod tests {
                     noise_m: 0.0,
                     step_m: 0.1,
                     max_gap_m: 1.0,
+                    most: usize::MAX,
                 },
                 column_rad: sensor.column_width_rad() as f32,
             };
