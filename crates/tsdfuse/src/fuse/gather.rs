@@ -251,6 +251,12 @@ impl<T: Item> Near<T> {
         }
     }
 
+    /// Whether more blocks were named than can have memory, so that the run will fail and naming more is in vain.
+    #[inline]
+    pub fn is_full(&self) -> bool {
+        self.is_full
+    }
+
     /// `None` if more blocks are named than there can be memory for.
     fn address(&mut self, block: BlockIndex) -> Option<Address> {
         if let Some(&address) = self.addresses.get(&block) {

@@ -158,6 +158,9 @@ fn update(map: &mut VoxelMap, gather: &mut Gather<Disc>, discs: &[Disc]) -> Resu
         discs.len(),
         |range, near| {
             dispatch!(level, simd => for i in range {
+                if near.is_full() {
+                    break;
+                }
                 let disc = discs[i];
                 disc.about.for_each_block(simd, #[inline(always)] |block| near.block(block, i as u32, disc));
             });
