@@ -6,12 +6,12 @@ use tsdfuse::Pose;
 
 use crate::error::{Error, Result};
 use crate::text::{self, Line};
-use crate::{files, poses};
+use crate::{files, poses, present};
 
 /// `camera_from_velodyne`, if the folder has a `calib.txt` with a line `Tr`.
 pub(crate) fn in_folder(folder: &Path) -> Result<Option<Pose>> {
     let path = folder.join("calib.txt");
-    if !path.is_file() {
+    if !present::file(&path)? {
         return Ok(None);
     }
     parse(&path, &files::read(&path)?, "Tr")

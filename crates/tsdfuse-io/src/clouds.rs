@@ -1,18 +1,18 @@
 //! A folder of point clouds, one `.pcd`, `.ply` or `.bin` a scan.
 //!
 //! The clouds lie in the folder itself or in one folder within it. Poses lie beside the clouds or a folder above; without
-//! a pose file, the `VIEWPOINT` of PCD files is the scan's pose. What else may lie beside them says [`folder`].
+//! a pose file, the `VIEWPOINT` of PCD files is the scan's pose. See [`folder`] for optional side files.
 
 use std::path::{Path, PathBuf};
 
 use tsdfuse::Pose;
 
-use crate::dataset::OpenOptions;
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::folder::{self, PoseFile, ScanFolder};
 use crate::pcd;
 use crate::poses::{self, Poses};
+use crate::source::OpenOptions;
 
 const FORMATS: [(&str, &str); 3] = [
     ("pcd", "PCD folder"),
@@ -41,18 +41,13 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
             .iter()
             .map(|file| viewpoint(&file.path))
             .collect::<Result<Vec<_>>>()?;
-        if viewpoints.iter().all(Option::is_none) {
-            return Err(Error::dataset(
-                path,
-                "holds scans but no poses.txt or other pose file, nor VIEWPOINTs",
-            ));
-        }
+        let any = viewpoints.iter().any(Option::is_some);
         let poses = viewpoints.into_iter().map(Option::unwrap_or_default).collect();
-        let poses = PoseFile {
+        let poses = any.then(|| PoseFile {
             path: root.clone(),
             poses: Poses::Listed(poses),
             note: None,
-        };
+        });
         return ScanFolder::new(format, &root, &files, poses, options);
     }
     let poses = folder::poses(&root, options, Path::new(""))?;

@@ -5,43 +5,47 @@
 //! - `times.txt` or `timestamps.txt`: when each scan was taken, seconds or date and time, one line a scan,
 //! - `rings/` with one `.u16` a scan: the laser of each point, little-endian `u16`,
 //! - `times/` with one `.f32` a scan: seconds of each point after the scan's pose, little-endian `f32`,
-//! - `motion.txt`: for each scan a line with a second pose of the sensor, so that the poses of single returns are known:
-//!   the seconds from the scan's pose to that pose and its 12 numbers as in `poses.txt`, or `-` for none,
-//! - `sensor.toml`: the sensor's model.
+//! - `motion.txt`: for each scan a line with further poses of the sensor, so that the poses of single returns are known:
+//!   the seconds from the scan's pose to such a pose and its 12 numbers as in `poses.txt`, once or several times, or `-` for none,
+//! - `sensor.toml`: the sensor's model, and optionally `body_from_sensor`, the 12 numbers of where it sits on a body (vehicle,
+//!   robot); then `poses.txt` and `motion.txt` are `world_from_body`.
 //!
 //! Lines go to scans as poses do (see [`poses`]). Where returns have times but there is no `motion.txt`, the sensor moves
-//! through the trajectory's pose at the time of the outermost return, if poses have times of their own (TUM); otherwise
-//! through the pose of the next scan, or of the one before if the next is farther away than [`MAX_STEP_SECS`].
+//! along the trajectory, if poses have times of their own (TUM) and these have no gap within the sweep: through all poses
+//! within it. Otherwise it moves through the pose of the next scan, or of the one before if the next is farther away than
+//! [`MAX_STEP_SECS`].
 
 use std::path::{Path, PathBuf};
 
 use tsdfuse::glam::Vec3;
 use tsdfuse::scan::PoseAt;
-use tsdfuse::trajectory::ns_after;
-use tsdfuse::{Scan, SensorModel};
+use tsdfuse::trajectory::{ns_after, secs_between};
+use tsdfuse::{Pose, Scan, Trajectory};
 
 use crate::cloud::{self, Cloud};
-use crate::dataset::{OpenOptions, ScanRef, Source};
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
-use crate::poses::{self, Poses, Trajectory};
-use crate::{bin, pcd, ply, times};
+use crate::poses::{self, Poses};
+use crate::source::{ImuSample, OpenOptions, ScanRef, Sensor, Source};
+use crate::{bin, pcd, ply, present, times};
 
 mod beside;
 
 pub(crate) use beside::{PoseFile, parse_sensor, poses};
-use beside::{motions, sensor};
+use beside::{motions, of_model, sensor};
 
 /// The longest time between two scans over which the sensor is taken to move steadily, seconds.
 pub const MAX_STEP_SECS: f64 = 1.0;
 
-/// Scans of one file each.
+/// Scans of one file each, of one sensor.
 pub(crate) struct ScanFolder {
     format: &'static str,
     scans: Vec<ScanRef>,
     entries: Vec<Entry>,
+    /// `world_from_body`.
     trajectory: Option<Trajectory>,
-    sensor: Option<SensorModel>,
+    imu: Vec<ImuSample>,
+    sensors: [Sensor; 1],
     notes: Vec<String>,
 }
 
@@ -59,46 +63,71 @@ impl ScanFolder {
         format: &'static str,
         root: &Path,
         files: &[ScanFile],
-        PoseFile { path, poses, note }: PoseFile,
+        pose_file: Option<PoseFile>,
         options: &OpenOptions,
     ) -> Result<Self> {
-        let placed = poses::place(&path, &poses, files, times::of_scans(root, files)?)?;
-        let scans: Vec<_> = files
-            .iter()
-            .zip(placed)
-            .map(|(file, (pose, timestamp_secs))| ScanRef {
-                name: file.name.clone(),
-                timestamp_secs,
-                pose,
-            })
-            .collect();
-        for pair in scans.windows(2) {
-            if let [a, b] = pair
-                && let (Some(before), Some(secs)) = (a.timestamp_secs, b.timestamp_secs)
-                && before >= secs
-            {
-                let reason = format!(
-                    "{} at {secs:.6} s is not later than the scan before, {}",
-                    b.name, a.name
-                );
-                return Err(Error::dataset(root, reason));
+        let sensor = sensor(root, options)?;
+        // The identity changes no pose; not multiplying keeps its bits, too.
+        let on_body = Some(sensor.body_from_sensor).filter(|pose| *pose != Pose::IDENTITY);
+        let of_sensor = |body: Pose| on_body.map_or(body, |body_from_sensor| body * body_from_sensor);
+        let times_ns = times::of_scans(root, files)?;
+        let (mut trajectory, mut notes) = (None, Vec::new());
+        let placed: Vec<(Option<Pose>, Option<i64>)> = match pose_file {
+            Some(PoseFile { path, poses, note }) => {
+                let placed = poses::place(&path, &poses, files, times_ns)?;
+                notes.extend(note);
+                if let Poses::Timed(timed) = poses {
+                    trajectory = Some(timed);
+                }
+                placed
+                    .into_iter()
+                    .map(|(pose, time_ns)| (Some(of_sensor(pose)), time_ns))
+                    .collect()
             }
-        }
-        let motions = motions(&root.join("motion.txt"), files)?;
+            None => {
+                notes.push("there is no poses.txt or other pose file: the scans' poses are not known".to_owned());
+                let times_ns = times_ns.into_iter().flatten().map(Some).chain(std::iter::repeat(None));
+                times_ns.take(files.len()).map(|time_ns| (None, time_ns)).collect()
+            }
+        };
+        let scans = files.iter().zip(placed).map(|(file, (pose, time_ns))| ScanRef {
+            name: file.name.clone(),
+            sensor: 0,
+            time_ns,
+            pose,
+        });
+        let scans: Vec<_> = scans.collect();
+        in_order(root, &scans)?;
+        let sides = [("rings", "u16"), ("times", "f32")];
+        let [rings, times] = sides.map(|(name, _)| present::folder(&root.join(name)));
+        let beside = |file: &ScanFile, (name, extension): (&str, &str), there: bool| {
+            let path = root.join(name).join(&file.name).with_extension(extension);
+            Ok((there && present::file(&path)?).then_some(path))
+        };
+        let (rings, times) = (rings?, times?);
+        let entries = files
+            .iter()
+            .zip(motions(&root.join("motion.txt"), files)?)
+            .map(|(file, motion)| {
+                let of_sensor = |at: PoseAt| PoseAt {
+                    pose: of_sensor(at.pose),
+                    ..at
+                };
+                Ok(Entry {
+                    points: file.path.clone(),
+                    rings: beside(file, sides[0], rings)?,
+                    times: beside(file, sides[1], times)?,
+                    motion: motion.into_iter().map(of_sensor).collect(),
+                })
+            });
         let mut folder = Self {
             format,
+            entries: entries.collect::<Result<_>>()?,
             scans,
-            entries: files
-                .iter()
-                .zip(motions)
-                .map(|(file, motion)| Entry::new(root, file, motion))
-                .collect(),
-            trajectory: match poses {
-                Poses::Timed(trajectory) => Some(trajectory),
-                Poses::Listed(_) => None,
-            },
-            sensor: sensor(root, options)?,
-            notes: note.into_iter().collect(),
+            trajectory,
+            imu: Vec::new(),
+            sensors: [sensor],
+            notes,
         };
         folder.note_gaps();
         Ok(folder)
@@ -106,7 +135,25 @@ impl ScanFolder {
 
     /// The model for logs that come from one kind of sensor only.
     pub(crate) fn with_usual_sensor(mut self, name: &str) -> Self {
-        self.sensor = self.sensor.or_else(|| tsdfuse::sensor::model(name));
+        let [sensor] = &mut self.sensors;
+        if sensor.model.is_none() {
+            *sensor = Sensor {
+                body_from_sensor: sensor.body_from_sensor,
+                ..of_model(tsdfuse::sensor::model(name))
+            };
+        }
+        self
+    }
+
+    /// What else the log knows: the body's trajectory and where the sensor sits on the body, and IMU samples.
+    pub(crate) fn with_body(
+        mut self,
+        trajectory: Option<Trajectory>,
+        body_from_sensor: Pose,
+        imu: Vec<ImuSample>,
+    ) -> Self {
+        let [sensor] = &mut self.sensors;
+        (self.trajectory, self.imu, sensor.body_from_sensor) = (trajectory, imu, body_from_sensor);
         self
     }
 
@@ -125,7 +172,9 @@ impl ScanFolder {
             }
         }
         let still = (0..n)
-            .filter(|&i| self.entries[i].times.is_some() && self.motion(i, &[]).is_empty())
+            .filter(|&i| {
+                self.scans[i].pose.is_some() && self.entries[i].times.is_some() && self.motion(i, &[]).is_empty()
+            })
             .count();
         if still > 0 {
             self.note(format!(
@@ -140,55 +189,63 @@ impl ScanFolder {
         if !given.is_empty() {
             return given.clone();
         }
-        let Some(now) = self.scans[index].timestamp_secs else {
+        let (scan, [sensor]) = (&self.scans[index], &self.sensors);
+        let (Some(now), Some(_)) = (scan.time_ns, scan.pose) else {
             return Vec::new();
         };
         if let Some(trajectory) = &self.trajectory {
-            let outermost = times
-                .iter()
-                .copied()
-                .filter(|t| t.is_finite())
-                .max_by(|a, b| a.abs().total_cmp(&b.abs()));
-            let secs = f64::from(outermost.unwrap_or(0.0));
-            if secs != 0.0
-                && secs.abs() <= MAX_STEP_SECS
-                && let Ok(pose) = trajectory.at(now + secs)
+            let (first, last) = span(times);
+            let is_covered = || poses::covers(trajectory, ns_after(now, first), ns_after(now, last));
+            if last - first > 0.0
+                && last.max(-first) <= MAX_STEP_SECS
+                && is_covered()
+                && let Some((_, motion)) = trajectory.motion_within(now, first, last, &sensor.body_from_sensor)
             {
-                return vec![PoseAt { pose, secs }];
+                return motion;
             }
         }
         let neighbours = [index.checked_add(1), index.checked_sub(1)];
-        let motions = neighbours.into_iter().flatten().filter_map(|i| {
+        let mut motions = neighbours.into_iter().flatten().filter_map(|i| {
             let scan = self.scans.get(i)?;
-            let secs = scan.timestamp_secs? - now;
-            Some(PoseAt { pose: scan.pose, secs })
+            let secs = secs_between(now, scan.time_ns?);
+            Some(PoseAt { secs, pose: scan.pose? })
         });
-        motions
-            .into_iter()
-            .find(|m| m.secs.abs() <= MAX_STEP_SECS)
-            .into_iter()
-            .collect()
+        let near = motions.find(|m| m.secs.abs() <= MAX_STEP_SECS);
+        near.into_iter().collect()
     }
 }
 
-impl Entry {
-    fn new(root: &Path, file: &ScanFile, motion: Vec<PoseAt>) -> Self {
-        let beside = |folder: &str, extension: &str| {
-            let path = root.join(folder).join(&file.name).with_extension(extension);
-            path.is_file().then_some(path)
-        };
-        Self {
-            points: file.path.clone(),
-            rings: beside("rings", "u16"),
-            times: beside("times", "f32"),
-            motion,
+/// The first and the last of some times; 0 is always within.
+fn span(times: &[f32]) -> (f64, f64) {
+    let finite = times.iter().copied().filter(|t| t.is_finite()).map(f64::from);
+    finite.fold((0.0, 0.0), |(first, last): (f64, f64), t| (first.min(t), last.max(t)))
+}
+
+/// Checks that times ascend.
+fn in_order(root: &Path, scans: &[ScanRef]) -> Result<()> {
+    for pair in scans.windows(2) {
+        if let [a, b] = pair
+            && let (Some(before), Some(time_ns)) = (a.time_ns, b.time_ns)
+            && before >= time_ns
+        {
+            let secs = secs_between(0, time_ns);
+            let reason = format!(
+                "{} at {secs:.6} s is not later than the scan before, {}",
+                b.name, a.name
+            );
+            return Err(Error::dataset(root, reason));
         }
     }
+    Ok(())
 }
 
 impl Source for ScanFolder {
-    fn format(&self) -> &'static str {
+    fn format(&self) -> &str {
         self.format
+    }
+
+    fn sensors(&self) -> &[Sensor] {
+        &self.sensors
     }
 
     fn scans(&self) -> &[ScanRef] {
@@ -196,14 +253,7 @@ impl Source for ScanFolder {
     }
 
     fn read(&self, index: usize) -> Result<Scan> {
-        let (
-            ScanRef {
-                name,
-                timestamp_secs,
-                pose,
-            },
-            entry,
-        ) = (&self.scans[index], &self.entries[index]);
+        let (scan, entry) = (&self.scans[index], &self.entries[index]);
         let Cloud {
             mut points,
             mut rings,
@@ -212,44 +262,44 @@ impl Source for ScanFolder {
             ..
         } = read_cloud(&entry.points)?;
         if let Some(path) = &entry.rings {
-            rings = Some(bin::column(
-                path,
-                &files::read(path)?,
-                points.len(),
-                u16::from_le_bytes,
-            )?);
+            let column = bin::column(path, &files::read(path)?, points.len(), u16::from_le_bytes);
+            rings = Some(column?);
         }
         let times = match (&entry.times, secs) {
-            (Some(path), _) => Some(cloud::checked_offsets(
-                path,
-                bin::column(path, &files::read(path)?, points.len(), f32::from_le_bytes)?,
-            )?),
-            (None, Some(secs)) => Some(cloud::offsets(&entry.points, &secs, *timestamp_secs)?),
+            (Some(path), _) => {
+                let column = bin::column(path, &files::read(path)?, points.len(), f32::from_le_bytes);
+                Some(cloud::checked_offsets(path, column?)?)
+            }
+            (None, Some(secs)) => {
+                let scan_secs = scan.time_ns.map(|time_ns| secs_between(0, time_ns));
+                Some(cloud::offsets(&entry.points, &secs, scan_secs)?)
+            }
             (None, None) => None,
         };
         // A return without a time cannot be placed.
-        for (point, _) in points
-            .iter_mut()
-            .zip(times.iter().flatten())
+        let timed = points.iter_mut().zip(times.iter().flatten());
+        timed
             .filter(|(_, t)| t.is_nan())
-        {
-            *point = Vec3::NAN;
-        }
+            .for_each(|(point, _)| *point = Vec3::NAN);
         Ok(Scan {
-            name: name.clone(),
-            time_ns: timestamp_secs.map(|secs| ns_after(0, secs)),
+            name: scan.name.clone(),
+            time_ns: scan.time_ns,
             motion: times.as_ref().map_or(Vec::new(), |times| self.motion(index, times)),
             points,
             rings,
             times,
             intensities,
-            pose: Some(*pose),
+            pose: scan.pose,
             ..Default::default()
         })
     }
 
-    fn sensor(&self) -> Option<SensorModel> {
-        self.sensor.clone()
+    fn trajectory(&self) -> Option<&Trajectory> {
+        self.trajectory.as_ref()
+    }
+
+    fn imu(&self) -> Result<Vec<ImuSample>> {
+        Ok(self.imu.clone())
     }
 
     fn notes(&self) -> &[String] {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::pandaset::frames;
+use crate::pandaset::{cameras, frames};
 use crate::pickle::DataFrame;
 use crate::rgbd::image::{self, ImageSize};
 use crate::rgbd::{camera, seven_scenes, tum};
@@ -178,10 +178,11 @@ pub fn rgbd(bytes: &[u8]) {
     let _ = tum::parse_list(Path::new(PATH), bytes);
 }
 
-/// The two JSON files of PandaSet.
+/// The JSON files of PandaSet.
 pub fn pandaset(bytes: &[u8]) {
     let _ = frames::parse_poses(Path::new(PATH), bytes);
     let _ = frames::parse_times(Path::new(PATH), bytes, 3);
+    let _ = cameras::parse_intrinsics(Path::new(PATH), bytes);
 }
 
 #[cfg(test)]

@@ -6,10 +6,10 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::dataset::OpenOptions;
 use crate::error::Result;
 use crate::files::{self, ScanFile};
 use crate::folder::{self, ScanFolder};
+use crate::source::OpenOptions;
 
 /// Whether there is a `calib.txt` that tells of a laser scanner, and scans.
 pub(crate) fn recognises(path: &Path) -> bool {

@@ -4,20 +4,23 @@
 //! x east, y north, z up, with the origin at the first packet. A scan's pose is that of the packet of its number, moved
 //! along the packets' trajectory to the scan's own time (the packet is up to 5 ms off). `calib_imu_to_velo.txt` is taken
 //! from the drive's folder or the one above; without it the scanner is taken to be where the IMU is.
+//!
+//! The body is the IMU: the packets' poses are the log's trajectory, and their rates and accelerations its IMU samples.
 
 use std::f64::consts::FRAC_PI_4;
 use std::path::{Path, PathBuf};
 
-use tsdfuse::Pose;
 use tsdfuse::glam::{DQuat, DVec3};
 use tsdfuse::pose::Interpolation;
+use tsdfuse::trajectory::secs_between;
+use tsdfuse::{Pose, Trajectory};
 
-use crate::dataset::OpenOptions;
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::folder::{self, PoseFile, ScanFolder};
 use crate::poses::Poses;
-use crate::{calib, text, times};
+use crate::source::{ImuSample, OpenOptions};
+use crate::{calib, present, text, times};
 
 /// Equatorial radius of the Earth, metres.
 const EARTH_RADIUS_M: f64 = 6_378_137.0;
@@ -32,81 +35,141 @@ pub(crate) fn recognises(path: &Path) -> bool {
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
     let velodyne = path.join("velodyne_points");
     let scans = files::list(&velodyne.join("data"), "bin")?;
+    let new = |poses| Ok(ScanFolder::new("KITTI raw", &velodyne, &scans, poses, options)?.with_usual_sensor("hdl64e"));
     let packets = path.join("oxts/data");
-    let poses = if options.poses.is_none() && packets.is_dir() {
-        let velodyne_from_imu = velodyne_from_imu(path)?;
-        let missing = || "no calib_imu_to_velo.txt: the scanner is taken to be where the IMU is".to_owned();
-        let imu_from_velodyne = velodyne_from_imu.unwrap_or_default().inverse();
-        let world_from_imu = imu_at_scans(path, &scans)?;
-        PoseFile {
-            path: packets,
-            poses: Poses::Listed(
-                world_from_imu
-                    .into_iter()
-                    .map(|pose| pose * imu_from_velodyne)
-                    .collect(),
-            ),
-            note: velodyne_from_imu.is_none().then(missing),
-        }
-    } else {
-        folder::poses(path, options, Path::new(""))?
+    if options.poses.is_some() || !present::folder(&packets)? {
+        return new(folder::poses(path, options, Path::new(""))?);
+    }
+    let velodyne_from_imu = velodyne_from_imu(path)?;
+    let missing = || "no calib_imu_to_velo.txt: the scanner is taken to be where the IMU is".to_owned();
+    let imu_from_velodyne = options
+        .extrinsics
+        .unwrap_or(velodyne_from_imu.unwrap_or_default().inverse());
+    let packets = Packets::read(path, packets)?;
+    let world_from_imu = packets.at_scans(path, &scans)?;
+    let poses = PoseFile {
+        path: packets.folder.clone(),
+        // Of the scanner already.
+        poses: Poses::Listed(
+            world_from_imu
+                .into_iter()
+                .map(|pose| pose * imu_from_velodyne)
+                .collect(),
+        ),
+        note: (velodyne_from_imu.is_none() && options.extrinsics.is_none()).then(missing),
     };
-    Ok(ScanFolder::new("KITTI raw", &velodyne, &scans, poses, options)?.with_usual_sensor("hdl64e"))
+    let of_scanner = OpenOptions {
+        extrinsics: Some(Pose::IDENTITY),
+        ..options.clone()
+    };
+    let log = ScanFolder::new("KITTI raw", &velodyne, &scans, Some(poses), &of_scanner)?.with_usual_sensor("hdl64e");
+    Ok(log.with_body(packets.trajectory()?, imu_from_velodyne, packets.imu()))
 }
 
-/// `world_from_imu` at the time of each scan.
-fn imu_at_scans(path: &Path, scans: &[ScanFile]) -> Result<Vec<Pose>> {
-    let folder = path.join("oxts/data");
-    let files = files::list(&folder, "txt")?;
-    let packets: Vec<_> = files
-        .iter()
-        .map(|f| packet(&f.path, &files::read(&f.path)?))
-        .collect::<Result<_>>()?;
-    let first = packets
-        .first()
-        .ok_or_else(|| Error::dataset(&folder, "holds no packets"))?;
-    let scale = first.latitude_deg.to_radians().cos();
-    let origin = first.position(scale);
-    let pose = |packet: &Packet| Pose {
-        rotation: packet.rotation(),
-        translation: packet.position(scale) - origin,
-    };
-    let poses: Vec<_> = packets.iter().map(pose).collect();
-    let scan_secs = times::of_scans(&path.join("velodyne_points"), scans)?;
-    let secs = scan_secs.zip(times::of_scans(&path.join("oxts"), &files)?);
-    let at_scan = |(i, scan): (usize, &ScanFile)| {
-        let number = scan.number();
-        let k = files
+/// What `oxts/` holds.
+struct Packets {
+    folder: PathBuf,
+    files: Vec<ScanFile>,
+    packets: Vec<Packet>,
+    /// `world_from_imu`.
+    poses: Vec<Pose>,
+    times_ns: Option<Vec<i64>>,
+}
+
+impl Packets {
+    fn read(path: &Path, folder: PathBuf) -> Result<Self> {
+        let files = files::list(&folder, "txt")?;
+        let packets: Vec<_> = files
             .iter()
-            .position(|f| f.number() == number && number.is_some())
-            .ok_or_else(|| Error::dataset(&folder, format!("has no packet for scan {}", scan.name)))?;
-        let Some((scan_secs, packet_secs)) = &secs else {
-            return Ok(poses[k]);
+            .map(|f| packet(&f.path, &files::read(&f.path)?))
+            .collect::<Result<_>>()?;
+        let first = packets
+            .first()
+            .ok_or_else(|| Error::dataset(&folder, "holds no packets"))?;
+        let scale = first.latitude_deg.to_radians().cos();
+        let origin = first.position(scale);
+        let pose = |packet: &Packet| Pose {
+            rotation: packet.rotation(),
+            translation: packet.position(scale) - origin,
         };
-        let late = scan_secs[i] - packet_secs[k];
-        if late.abs() > MAX_DELAY_SECS {
-            let reason = format!("the packet of scan {} is {late:.3} s away from it", scan.name);
-            return Err(Error::dataset(&folder, reason));
-        }
-        Ok(moved(&poses, packet_secs, k, late))
-    };
-    scans.iter().enumerate().map(at_scan).collect()
+        Ok(Self {
+            poses: packets.iter().map(pose).collect(),
+            times_ns: times::of_scans(&path.join("oxts"), &files)?,
+            folder,
+            files,
+            packets,
+        })
+    }
+
+    /// `world_from_imu` at the time of each scan.
+    fn at_scans(&self, path: &Path, scans: &[ScanFile]) -> Result<Vec<Pose>> {
+        let scans_ns = times::of_scans(&path.join("velodyne_points"), scans)?;
+        let times_ns = scans_ns.zip(self.times_ns.as_ref());
+        let at_scan = |(i, scan): (usize, &ScanFile)| {
+            let number = scan.number();
+            let k = self
+                .files
+                .iter()
+                .position(|f| f.number() == number && number.is_some())
+                .ok_or_else(|| Error::dataset(&self.folder, format!("has no packet for scan {}", scan.name)))?;
+            let Some((scans_ns, packets_ns)) = &times_ns else {
+                return Ok(self.poses[k]);
+            };
+            let late = secs_between(packets_ns[k], scans_ns[i]);
+            if late.abs() > MAX_DELAY_SECS {
+                let reason = format!("the packet of scan {} is {late:.3} s away from it", scan.name);
+                return Err(Error::dataset(&self.folder, reason));
+            }
+            Ok(moved(&self.poses, packets_ns, k, late))
+        };
+        scans.iter().enumerate().map(at_scan).collect()
+    }
+
+    /// `world_from_imu` over time, where the packets have times.
+    fn trajectory(&self) -> Result<Option<Trajectory>> {
+        let Some(times_ns) = &self.times_ns else {
+            return Ok(None);
+        };
+        let mut timed: Vec<_> = times_ns.iter().copied().zip(self.poses.iter().copied()).collect();
+        // KITTI has some packets twice, or out of order by a moment.
+        timed.sort_by_key(|(time_ns, _)| *time_ns);
+        timed.dedup_by_key(|(time_ns, _)| *time_ns);
+        let trajectory = Trajectory::new(timed).map_err(|e| Error::dataset(&self.folder, e.to_string()))?;
+        Ok(Some(trajectory))
+    }
+
+    /// The packets that have rates and accelerations, where they have times.
+    fn imu(&self) -> Vec<ImuSample> {
+        let timed = self.times_ns.iter().flatten().zip(&self.packets);
+        let sample = |(&time_ns, packet): (&i64, &Packet)| {
+            let (acceleration, angular_velocity) = packet.inertial?;
+            Some(ImuSample {
+                time_ns,
+                angular_velocity,
+                acceleration,
+                orientation: Some(packet.rotation()),
+            })
+        };
+        let mut samples: Vec<_> = timed.filter_map(sample).collect();
+        samples.sort_by_key(|sample| sample.time_ns);
+        samples
+    }
 }
 
 /// Pose `k`, `late` seconds after its time, going towards the neighbour on that side, or on from the other one.
-fn moved(poses: &[Pose], secs: &[f64], k: usize, late: f64) -> Pose {
+fn moved(poses: &[Pose], times_ns: &[i64], k: usize, late: f64) -> Pose {
     let (after, before) = (k.checked_add(1), k.checked_sub(1));
     let sides = if late < 0.0 { [before, after] } else { [after, before] };
     let neighbour = sides
         .into_iter()
         .flatten()
-        .find(|&n| n < poses.len() && secs[n] != secs[k]);
+        .find(|&n| n < poses.len() && times_ns[n] != times_ns[k]);
     neighbour.map_or(poses[k], |n| {
-        Interpolation::new(poses[k], poses[n]).at(late / (secs[n] - secs[k]))
+        Interpolation::new(poses[k], poses[n]).at(late / secs_between(times_ns[k], times_ns[n]))
     })
 }
 
-/// What a packet says of the pose: degrees, metres and radians.
+/// What a packet says: degrees, metres and radians, m/s² and rad/s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Packet {
     latitude_deg: f64,
@@ -115,6 +178,8 @@ pub(crate) struct Packet {
     roll_rad: f64,
     pitch_rad: f64,
     yaw_rad: f64,
+    /// Acceleration and rates of turn about the IMU's axes, where the packet has them.
+    inertial: Option<(DVec3, DVec3)>,
 }
 
 /// Parses a file of `oxts/data`; `path` is for messages.
@@ -144,7 +209,10 @@ pub(crate) fn packet(path: &Path, bytes: &[u8]) -> Result<Packet> {
     if !(numbers[..6].iter().all(|v| v.is_finite()) && latitude_deg.abs() < 85.0) {
         return Err(line.error("latitude, longitude, altitude or an angle is not possible"));
     }
+    let vector = |at: usize| numbers.get(at..at + 3).map(DVec3::from_slice).filter(|v| v.is_finite());
     Ok(Packet {
+        // ax ay az and wx wy wz of KITTI's dataformat.txt.
+        inertial: vector(11).zip(vector(17)),
         latitude_deg,
         longitude_deg,
         altitude_m,
@@ -172,9 +240,13 @@ impl Packet {
 
 /// `calib_imu_to_velo.txt` of the folder or the one above.
 fn velodyne_from_imu(path: &Path) -> Result<Option<Pose>> {
-    let places = [path.to_owned(), path.join("..")].map(|folder| folder.join("calib_imu_to_velo.txt"));
-    let found: Option<&PathBuf> = places.iter().find(|p| p.is_file());
-    found.map(|file| calib::parse_rt(file, &files::read(file)?)).transpose()
+    for folder in [path.to_owned(), path.join("..")] {
+        let file = folder.join("calib_imu_to_velo.txt");
+        if present::file(&file)? {
+            return calib::parse_rt(&file, &files::read(&file)?).map(Some);
+        }
+    }
+    Ok(None)
 }
 
 #[cfg(test)]

@@ -1,7 +1,4 @@
-//! Readers of LiDAR logs and depth images, and writers of meshes and pictures.
-//!
-//! [`open`] recognises what lies at a path and gives a [`Dataset`]: scans with poses, read ahead in the background.
-//! [`mesh::write`] and [`png::write`] write what was made of them; [`geometry::read`] reads a mesh or a cloud.
+#![doc = include_str!("../README.md")]
 
 pub mod atomic;
 mod bin;
@@ -9,7 +6,6 @@ mod calib;
 mod cloud;
 pub mod clouds;
 pub mod columns;
-pub mod dataset;
 pub mod error;
 mod files;
 pub mod folder;
@@ -19,6 +15,7 @@ pub mod geometry;
 pub mod glb;
 pub mod kitti;
 pub mod kitti_raw;
+pub mod log;
 pub mod map_file;
 pub mod mesh;
 pub mod npz;
@@ -30,15 +27,25 @@ pub mod plain;
 pub mod ply;
 pub mod png;
 pub mod poses;
+mod present;
 pub mod read_ahead;
 pub mod rgbd;
 mod scalar;
+mod selection;
+pub mod source;
+mod suggested;
 mod text;
 mod times;
+mod together;
 #[cfg(feature = "zarr")]
 pub mod zarr;
 
 pub use cloud::Cloud;
-pub use dataset::{Dataset, OpenOptions, ScanRef, Source, open, open_with};
 pub use error::{Error, Result};
-pub use read_ahead::{ReadAhead, ReadScan};
+pub use log::{Log, open, open_with};
+pub use read_ahead::{ReadAhead, ReadScan, Scans};
+pub use selection::Selection;
+pub use source::{ImageRef, ImuSample, OpenOptions, ScanRef, Sensor, Source, Stream, StreamedScan};
+pub use suggested::{
+    DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_METHOD, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M, Suggested,
+};

@@ -2,12 +2,13 @@
 //!
 //! ```text
 //! velodyne/000000.bin   little-endian f32: x y z intensity of each point, sensor frame, metres
-//! poses.txt             per scan 12 numbers: row-major 3×4 world_from_sensor (or TUM: secs x y z qx qy qz qw)
+//! poses.txt             optional; per scan 12 numbers: row-major 3×4 world_from_sensor (or TUM: secs x y z qx qy qz qw)
 //! times.txt             optional; per scan its time in seconds
 //! rings/000000.u16      optional; little-endian u16: the laser of each point, 0 = lowest
 //! times/000000.f32      optional; little-endian f32: seconds of each point after the scan's pose
-//! motion.txt            optional; per scan "secs" and 12 numbers: where the sensor is secs after the scan's pose; or "-"
-//! sensor.toml           optional; the sensor's model
+//! motion.txt            optional; per scan "secs" and 12 numbers: where the sensor is secs after the scan's pose, once or
+//!                       several times; or "-"
+//! sensor.toml           optional; the sensor's model, and body_from_sensor = [12 numbers] if poses are those of a body
 //! ```
 //!
 //! Without `motion.txt`, points with times move towards the next scan's pose (the last scan: away from the one before),
@@ -15,10 +16,10 @@
 
 use std::path::Path;
 
-use crate::dataset::OpenOptions;
 use crate::error::Result;
 use crate::files;
 use crate::folder::{self, ScanFolder};
+use crate::source::OpenOptions;
 
 mod writer;
 

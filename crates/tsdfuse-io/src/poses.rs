@@ -15,9 +15,9 @@
 
 use std::path::{Path, PathBuf};
 
-use tsdfuse::Pose;
 use tsdfuse::glam::{DQuat, DVec3};
-use tsdfuse::pose::Interpolation;
+use tsdfuse::trajectory::secs_between;
+use tsdfuse::{Pose, Trajectory};
 
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
@@ -38,57 +38,62 @@ pub enum Poses {
     Timed(Trajectory),
 }
 
-/// Poses at increasing times.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Trajectory {
-    /// Seconds, strictly increasing; as long as `poses`.
-    secs: Vec<f64>,
-    poses: Vec<Pose>,
-}
-
 impl Poses {
     /// Applies `f` to each pose.
     pub fn map(&mut self, f: impl FnMut(&Pose) -> Pose) {
-        let (Self::Listed(poses) | Self::Timed(Trajectory { poses, .. })) = self;
-        *poses = poses.iter().map(f).collect();
+        *self = match self {
+            Self::Listed(poses) => Self::Listed(poses.iter().map(f).collect()),
+            Self::Timed(trajectory) => Self::Timed(trajectory.map(f)),
+        };
     }
 
     fn len(&self) -> usize {
         match self {
-            Self::Listed(poses) | Self::Timed(Trajectory { poses, .. }) => poses.len(),
+            Self::Listed(poses) => poses.len(),
+            Self::Timed(trajectory) => trajectory.poses().len(),
         }
     }
 }
 
-impl Trajectory {
-    /// The pose at `secs`, interpolated; or why there is none.
-    pub(crate) fn at(&self, secs: f64) -> Result<Pose, String> {
-        let after = self.secs.partition_point(|&t| t < secs);
-        let side = |i: usize| Some((*self.secs.get(i)?, *self.poses.get(i)?));
-        let (before, after) = (after.checked_sub(1).and_then(side), side(after));
-        match (before, after) {
-            (Some((t0, a)), Some((t1, b))) if t1 - t0 <= MAX_GAP_SECS => {
-                return Ok(Interpolation::new(a, b).at((secs - t0) / (t1 - t0)));
-            }
-            _ => {}
-        }
-        let near = [before, after].into_iter().flatten();
-        if let Some((_, pose)) = near.clone().find(|(t, _)| (t - secs).abs() <= SAME_SECS) {
-            return Ok(pose);
-        }
-        let times: Vec<_> = near.map(|(t, _)| format!("{t:.6}")).collect();
-        Err(match times.as_slice() {
-            [_, _] => format!(
-                "its neighbours, at {}, are more than {MAX_GAP_SECS} s apart",
-                times.join(" and ")
-            ),
-            _ => format!(
-                "the poses run from {:.6} to {:.6} s",
-                self.secs.first().unwrap_or(&f64::NAN),
-                self.secs.last().unwrap_or(&f64::NAN)
-            ),
-        })
+/// The pose at a time, interpolated; or why there is none.
+pub(crate) fn at(trajectory: &Trajectory, time_ns: i64) -> Result<Pose, String> {
+    let (before, after) = trajectory.neighbours(time_ns);
+    if before
+        .zip(after)
+        .is_some_and(|(a, b)| secs_between(a.0, b.0) <= MAX_GAP_SECS)
+        && let Some(pose) = trajectory.at(time_ns)
+    {
+        return Ok(pose);
     }
+    let near = [before, after].into_iter().flatten();
+    if let Some((_, pose)) = near.clone().find(|(t, _)| secs_between(*t, time_ns).abs() <= SAME_SECS) {
+        return Ok(pose);
+    }
+    let times: Vec<_> = near.map(|(t, _)| format!("{:.6}", secs_between(0, t))).collect();
+    let (first, last) = trajectory.span_ns();
+    Err(match times.as_slice() {
+        [_, _] => format!(
+            "its neighbours, at {}, are more than {MAX_GAP_SECS} s apart",
+            times.join(" and ")
+        ),
+        _ => format!(
+            "the poses run from {:.6} to {:.6} s",
+            secs_between(0, first),
+            secs_between(0, last)
+        ),
+    })
+}
+
+/// Whether the trajectory tells the poses from one time to another without a gap.
+pub(crate) fn covers(trajectory: &Trajectory, first_ns: i64, last_ns: i64) -> bool {
+    let times = trajectory.times_ns();
+    let from = times.partition_point(|&t| t <= first_ns).checked_sub(1);
+    let to = times.partition_point(|&t| t < last_ns);
+    from.and_then(|from| times.get(from..=to)).is_some_and(|times| {
+        times
+            .windows(2)
+            .all(|pair| secs_between(pair[0], pair[1]) <= MAX_GAP_SECS)
+    })
 }
 
 /// Reads a pose file.
@@ -111,9 +116,10 @@ pub fn read_all(path: impl AsRef<Path>) -> Result<Vec<Pose>> {
     if first.transpose()?.is_some_and(|numbers| numbers.len() == 4) {
         return Ok(vec![rows_of_4(path, &bytes)?]);
     }
-    match parse(path, &bytes)? {
-        Poses::Listed(poses) | Poses::Timed(Trajectory { poses, .. }) => Ok(poses),
-    }
+    Ok(match parse(path, &bytes)? {
+        Poses::Listed(poses) => poses,
+        Poses::Timed(trajectory) => trajectory.poses().to_vec(),
+    })
 }
 
 /// Parses the content of a pose file; `path` is for messages.
@@ -122,21 +128,21 @@ pub fn read_all(path: impl AsRef<Path>) -> Result<Vec<Pose>> {
 /// Names the file, the line and the reason.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Poses> {
     let mut listed = Vec::new();
-    let mut timed = Trajectory::default();
+    let mut timed: Vec<(i64, Pose)> = Vec::new();
     for line in text::lines(path, bytes)? {
         let numbers = line.numbers()?;
         match numbers.len() {
-            12 if timed.poses.is_empty() => listed.push(matrix(&line, &numbers)?),
+            12 if timed.is_empty() => listed.push(matrix(&line, &numbers)?),
             8 if listed.is_empty() => {
-                let (secs, pose) = tum(&line, &numbers)?;
-                if timed.secs.last().is_some_and(|&last| last >= secs) {
+                let (time_ns, pose) = tum(&line, &numbers)?;
+                if timed.last().is_some_and(|&(last, _)| last >= time_ns) {
+                    let secs = secs_between(0, time_ns);
                     return Err(line.error(format!("the time {secs} is not later than that of the pose before")));
                 }
-                timed.secs.push(secs);
-                timed.poses.push(pose);
+                timed.push((time_ns, pose));
             }
             n => {
-                let wanted = match (listed.len(), timed.secs.len()) {
+                let wanted = match (listed.len(), timed.len()) {
                     (0, 0) => "12 (KITTI) or 8 (TUM)",
                     (_, 0) => "12, as in the lines before",
                     _ => "8, as in the lines before",
@@ -145,10 +151,12 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Poses> {
             }
         }
     }
-    match (listed.len(), timed.secs.len()) {
+    match (listed.len(), timed.len()) {
         (0, 0) => Err(Error::format(path, "holds no poses")),
         (_, 0) => Ok(Poses::Listed(listed)),
-        _ => Ok(Poses::Timed(timed)),
+        _ => Trajectory::new(timed)
+            .map(Poses::Timed)
+            .map_err(|e| Error::format(path, e.to_string())),
     }
 }
 
@@ -177,18 +185,18 @@ pub(crate) fn matrix(line: &Line, numbers: &[f64]) -> Result<Pose> {
     Pose::from_row_major_3x4(numbers).map_err(|e| line.error(e))
 }
 
-fn tum(line: &Line, numbers: &[f64]) -> Result<(f64, Pose)> {
+fn tum(line: &Line, numbers: &[f64]) -> Result<(i64, Pose)> {
     let &[secs, x, y, z, qx, qy, qz, qw] = numbers else {
         return Err(line.error("a TUM pose has 8 numbers"));
     };
     if !secs.is_finite() {
         return Err(line.error("the time is not finite"));
     }
+    // From the text itself, which has more digits than a number of seconds since 1970.
+    let time_ns = line.words().next().and_then(text::nanoseconds);
+    let time_ns = time_ns.ok_or_else(|| line.error(format!("the time {secs} is too large")))?;
     let pose = Pose::new(DQuat::from_xyzw(qx, qy, qz, qw), DVec3::new(x, y, z));
-    Ok((
-        files::epoch_secs(secs).unwrap_or(secs),
-        pose.map_err(|e| line.error(e))?,
-    ))
+    Ok((time_ns, pose.map_err(|e| line.error(e))?))
 }
 
 /// The pose file of a data set: `poses.txt`, `poses.tum`, another `*.tum`, `*poses*.txt`, `traj*.txt`, `groundtruth*.txt`,
@@ -244,33 +252,35 @@ pub(crate) fn rows_of_scans<T: Clone>(path: &Path, what: &str, rows: &[T], scans
     })
 }
 
-/// Pose and time of each scan, see the [module](self); `path` is the poses' file and `secs` are the scans' times.
+/// Pose and time of each scan, see the [module](self); `path` is the poses' file and `times_ns` are the scans' times.
 pub(crate) fn place(
     path: &Path,
     poses: &Poses,
     scans: &[ScanFile],
-    secs: Option<Vec<f64>>,
-) -> Result<Vec<(Pose, Option<f64>)>> {
-    match (poses, secs) {
+    times_ns: Option<Vec<i64>>,
+) -> Result<Vec<(Pose, Option<i64>)>> {
+    match (poses, times_ns) {
         (Poses::Listed(poses), None) => {
             let poses = rows_of_scans(path, "poses", poses, scans)?;
             Ok(poses.into_iter().map(|p| (p, None)).collect())
         }
-        (Poses::Listed(poses), Some(secs)) => {
+        (Poses::Listed(poses), Some(times_ns)) => {
             let poses = rows_of_scans(path, "poses", poses, scans)?;
-            Ok(poses.into_iter().zip(secs.into_iter().map(Some)).collect())
+            Ok(poses.into_iter().zip(times_ns.into_iter().map(Some)).collect())
         }
-        (Poses::Timed(trajectory), Some(secs)) => {
-            let placed = scans.iter().zip(secs).map(|(scan, secs)| {
-                let pose = trajectory
-                    .at(secs)
-                    .map_err(|why| Error::dataset(path, format!("no pose for {} at {secs:.6} s: {why}", scan.name)))?;
-                Ok((pose, Some(secs)))
+        (Poses::Timed(trajectory), Some(times_ns)) => {
+            let placed = scans.iter().zip(times_ns).map(|(scan, time_ns)| {
+                let pose = at(trajectory, time_ns).map_err(|why| {
+                    let secs = secs_between(0, time_ns);
+                    Error::dataset(path, format!("no pose for {} at {secs:.6} s: {why}", scan.name))
+                })?;
+                Ok((pose, Some(time_ns)))
             });
             placed.collect()
         }
-        (Poses::Timed(t), None) if t.poses.len() == scans.len() => {
-            Ok(t.poses.iter().copied().zip(t.secs.iter().copied().map(Some)).collect())
+        (Poses::Timed(t), None) if t.poses().len() == scans.len() => {
+            let times = t.times_ns().iter().copied().map(Some);
+            Ok(t.poses().iter().copied().zip(times).collect())
         }
         (Poses::Timed(_), None) => {
             let (n, m) = (poses.len(), scans.len());

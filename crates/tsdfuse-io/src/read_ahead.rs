@@ -1,70 +1,182 @@
 //! Reading the next scans while the caller works on this one.
 
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{Builder, JoinHandle};
 use std::time::Instant;
 
 use tsdfuse::Scan;
+use tsdfuse::scan::RangeLimits;
 
-use crate::dataset::Dataset;
 use crate::error::{Error, Result};
+use crate::selection::Selection;
+use crate::source::{Sensor, Source, Stream, StreamedScan, checked, read_checked};
 
-/// Threads that read; each holds at most one scan until the caller takes it.
+/// Threads that read from a source; each holds at most one scan until the caller takes it.
 const LANES: usize = 2;
 
 /// One scan as it comes from [`ReadAhead`].
 #[derive(Debug)]
 pub struct ReadScan {
-    /// Its number in the data set.
+    /// Its number in the log.
     pub index: usize,
+    /// The sensor that measured it: an index into the log's sensors.
+    pub sensor: usize,
     /// The scan, or why it could not be read.
     pub scan: Result<Scan>,
-    /// Seconds of wall time that reading and decoding took (in the background).
+    /// Seconds of wall time that reading and decoding took (in the background); of a stream also waiting for it.
     pub read_secs: f64,
 }
 
-/// Scans in the order asked for, the next two being read in the background.
+/// A stream, and what is known of it before it is read.
+pub(crate) struct Live {
+    pub(crate) format: String,
+    pub(crate) sensors: Vec<Sensor>,
+    pub(crate) notes: Vec<String>,
+    /// `None` once somebody reads it.
+    stream: Mutex<Option<Box<dyn Stream>>>,
+}
+
+impl Live {
+    pub(crate) fn new(stream: impl Stream + 'static) -> Self {
+        Self {
+            format: stream.format().to_owned(),
+            sensors: stream.sensors().to_vec(),
+            notes: stream.notes().to_vec(),
+            stream: Mutex::new(Some(Box::new(stream))),
+        }
+    }
+
+    fn take(&self) -> Option<Box<dyn Stream>> {
+        self.stream.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+/// Scans in order, the next two being read in the background. A scan that cannot be read does not end the iteration.
 ///
-/// Lane k reads the k-th, (k+2)-th, … scan and waits until it is taken, so that no more than two scans wait in memory.
-/// Dropping the iterator ends both lanes; a read that has begun is waited for. A scan that cannot be read does not end
-/// the iteration.
+/// From a source, lane k reads the k-th, (k+2)-th, … scan and waits until it is taken, so that no more than two scans wait
+/// in memory. Dropping the iterator ends both lanes; a read that has begun is waited for. From a stream, one thread reads,
+/// and also no more than two scans wait; dropping the iterator does not wait for the stream.
 #[derive(Debug)]
-pub struct ReadAhead {
-    dataset: Dataset,
+pub struct ReadAhead(Way);
+
+#[derive(Debug)]
+enum Way {
+    Source(Lanes),
+    Stream(Pipe),
+    /// These cannot be read; of what format, and why.
+    Refused(std::vec::IntoIter<usize>, [String; 2]),
+}
+
+impl ReadAhead {
+    pub(crate) fn of_source(source: Arc<dyn Source>, indices: Vec<usize>) -> Self {
+        Self(Way::Source(Lanes::new(source, indices)))
+    }
+
+    pub(crate) fn of_stream(live: &Live, selection: Selection) -> Self {
+        match live.take() {
+            Some(stream) => match Pipe::new(live.format.clone(), stream, selection) {
+                Ok(pipe) => Self(Way::Stream(pipe)),
+                Err(e) => Self(Way::Refused(vec![0].into_iter(), [live.format.clone(), e.to_string()])),
+            },
+            None => Self::refused(live, vec![selection.from]),
+        }
+    }
+
+    pub(crate) fn refused(live: &Live, indices: Vec<usize>) -> Self {
+        let reason = "is a stream: it is read once, from its begin".to_owned();
+        Self(Way::Refused(indices.into_iter(), [live.format.clone(), reason]))
+    }
+}
+
+impl Iterator for ReadAhead {
+    type Item = ReadScan;
+
+    fn next(&mut self) -> Option<ReadScan> {
+        match &mut self.0 {
+            Way::Source(lanes) => lanes.next(),
+            Way::Stream(pipe) => pipe.next(),
+            Way::Refused(indices, [format, reason]) => indices.next().map(|index| ReadScan {
+                index,
+                sensor: 0,
+                scan: Err(Error::dataset(&*format, &**reason)),
+                read_secs: 0.0,
+            }),
+        }
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        match &self.0 {
+            Way::Source(lanes) => {
+                let left = lanes.indices.len() - lanes.next;
+                (left, Some(left))
+            }
+            Way::Stream(_) => (0, None),
+            Way::Refused(indices, _) => indices.size_hint(),
+        }
+    }
+}
+
+/// The threads that read from a source.
+struct Lanes {
+    source: Arc<dyn Source>,
     indices: Arc<[usize]>,
     next: usize,
     lanes: Vec<Lane>,
 }
 
-#[derive(Debug)]
 struct Lane {
     scans: Receiver<ReadScan>,
     thread: JoinHandle<()>,
 }
 
-impl ReadAhead {
-    pub(crate) fn new(dataset: Dataset, indices: Vec<usize>) -> Self {
+impl Lanes {
+    fn new(source: Arc<dyn Source>, indices: Vec<usize>) -> Self {
         let indices: Arc<[usize]> = indices.into();
         // Without threads (a system that refuses more of them) scans are read when they are asked for.
         let lanes: Option<Vec<_>> = (0..LANES.min(indices.len()))
-            .map(|lane| Lane::spawn(lane, dataset.clone(), indices.clone()).ok())
+            .map(|lane| Lane::spawn(lane, source.clone(), indices.clone()).ok())
             .collect();
         Self {
-            dataset,
+            source,
             indices,
             next: 0,
             lanes: lanes.unwrap_or_default(),
         }
     }
+
+    fn next(&mut self) -> Option<ReadScan> {
+        let index = *self.indices.get(self.next)?;
+        let lane = self.lanes.get(self.next % LANES);
+        self.next += 1;
+        let Some(lane) = lane else {
+            return Some(read(self.source.as_ref(), index));
+        };
+        Some(lane.scans.recv().unwrap_or_else(|_| {
+            let scan = self.source.scans().get(index);
+            ReadScan {
+                index,
+                sensor: scan.map_or(0, |s| s.sensor),
+                scan: Err(died(scan.map_or("", |s| s.name.as_str()))),
+                read_secs: 0.0,
+            }
+        }))
+    }
+}
+
+impl std::fmt::Debug for Lanes {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let left = self.indices.get(self.next..);
+        f.debug_struct("Lanes").field("left", &left).finish_non_exhaustive()
+    }
 }
 
 impl Lane {
-    fn spawn(lane: usize, dataset: Dataset, indices: Arc<[usize]>) -> std::io::Result<Self> {
+    fn spawn(lane: usize, source: Arc<dyn Source>, indices: Arc<[usize]>) -> std::io::Result<Self> {
         let (sender, scans) = sync_channel(0);
         let thread = Builder::new().name(format!("read-{lane}")).spawn(move || {
             for &index in indices.iter().skip(lane).step_by(LANES) {
-                if sender.send(read(&dataset, index)).is_err() {
+                if sender.send(read(source.as_ref(), index)).is_err() {
                     return; // nobody wants more
                 }
             }
@@ -73,45 +185,22 @@ impl Lane {
     }
 }
 
-fn read(dataset: &Dataset, index: usize) -> ReadScan {
+fn read(source: &dyn Source, index: usize) -> ReadScan {
     let start = Instant::now();
-    let scan = dataset.read(index);
+    let scan = read_checked(source, index);
     ReadScan {
         index,
+        sensor: source.scans().get(index).map_or(0, |s| s.sensor),
         scan,
         read_secs: start.elapsed().as_secs_f64(),
     }
 }
 
-impl Iterator for ReadAhead {
-    type Item = ReadScan;
-
-    fn next(&mut self) -> Option<ReadScan> {
-        let index = *self.indices.get(self.next)?;
-        let lane = self.lanes.get(self.next % LANES);
-        self.next += 1;
-        Some(match lane {
-            None => read(&self.dataset, index),
-            Some(lane) => lane.scans.recv().unwrap_or_else(|_| ReadScan {
-                index,
-                scan: Err(Error::dataset(
-                    self.dataset.scans().get(index).map_or("", |s| s.name.as_str()),
-                    "the thread that was to read it has died",
-                )),
-                read_secs: 0.0,
-            }),
-        })
-    }
-
-    fn size_hint(&self) -> (usize, Option<usize>) {
-        let left = self.indices.len() - self.next;
-        (left, Some(left))
-    }
+fn died(name: &str) -> Error {
+    Error::dataset(name, "the thread that was to read it has died")
 }
 
-impl ExactSizeIterator for ReadAhead {}
-
-impl Drop for ReadAhead {
+impl Drop for Lanes {
     fn drop(&mut self) {
         for Lane { scans, thread } in self.lanes.drain(..) {
             drop(scans);
@@ -121,13 +210,78 @@ impl Drop for ReadAhead {
     }
 }
 
-/// All scans of a data set in order: what `for scan in dataset` runs through. Reads ahead as [`ReadAhead`] does.
+/// The thread that reads from a stream.
 #[derive(Debug)]
-pub struct Scans(ReadAhead);
+struct Pipe {
+    format: String,
+    scans: Receiver<ReadScan>,
+    /// `None` once its end is known.
+    thread: Option<JoinHandle<()>>,
+    next: usize,
+}
+
+impl Pipe {
+    fn new(format: String, mut stream: Box<dyn Stream>, selection: Selection) -> std::io::Result<Self> {
+        // One waits in the channel, one to get into it.
+        let (sender, scans) = sync_channel(1);
+        let run = move || {
+            for index in (0..).take_while(|&index| !selection.is_over(index)) {
+                let start = Instant::now();
+                let Some(StreamedScan { sensor, scan }) = stream.next() else {
+                    return;
+                };
+                let scan = scan.and_then(|scan| {
+                    let name = scan.name.clone();
+                    checked(scan, &name)
+                });
+                let read_secs = start.elapsed().as_secs_f64();
+                let read = ReadScan {
+                    index,
+                    sensor,
+                    scan,
+                    read_secs,
+                };
+                if selection.contains(index) && sender.send(read).is_err() {
+                    return; // nobody wants more
+                }
+            }
+        };
+        let thread = Builder::new().name("read-stream".to_owned()).spawn(run)?;
+        Ok(Self {
+            format,
+            scans,
+            thread: Some(thread),
+            next: 0,
+        })
+    }
+
+    fn next(&mut self) -> Option<ReadScan> {
+        if let Ok(read) = self.scans.recv() {
+            self.next = read.index + 1;
+            return Some(read);
+        }
+        // At the end, or the reader has panicked.
+        let panicked = self.thread.take()?.join().is_err();
+        panicked.then(|| ReadScan {
+            index: self.next,
+            sensor: 0,
+            scan: Err(died(&self.format)),
+            read_secs: 0.0,
+        })
+    }
+}
+
+/// All scans of a log in order, without invalid returns: what `for scan in &log` runs through. Reads ahead as [`ReadAhead`]
+/// does.
+#[derive(Debug)]
+pub struct Scans {
+    scans: ReadAhead,
+    range: RangeLimits,
+}
 
 impl Scans {
-    pub(crate) fn new(scans: ReadAhead) -> Self {
-        Self(scans)
+    pub(crate) fn new(scans: ReadAhead, range: RangeLimits) -> Self {
+        Self { scans, range }
     }
 }
 
@@ -135,23 +289,24 @@ impl Iterator for Scans {
     type Item = Result<Scan>;
 
     fn next(&mut self) -> Option<Result<Scan>> {
-        self.0.next().map(|s| s.scan)
+        let mut scan = self.scans.next()?.scan;
+        if let Ok(scan) = &mut scan {
+            scan.drop_invalid(&self.range);
+        }
+        Some(scan)
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {
-        self.0.size_hint()
+        self.scans.size_hint()
     }
 }
-
-impl ExactSizeIterator for Scans {}
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::{ScanRef, Source};
+    use crate::source::ScanRef;
     use std::sync::atomic::{AtomicUsize, Ordering};
     use std::time::Duration;
-    use tsdfuse::Pose;
 
     /// Twenty scans; counts the reads; scan 7 is broken, scan 9 panics.
     struct Counting {
@@ -159,85 +314,169 @@ mod tests {
         reads: Arc<AtomicUsize>,
     }
 
+    fn number(index: usize) -> Result<Scan> {
+        assert_ne!(index, 9, "on purpose");
+        // Odd scans take longer: the order must not depend on it.
+        std::thread::sleep(Duration::from_millis(3 * (index % 2) as u64));
+        if index == 7 {
+            return Err(Error::format("7.bin", "broken"));
+        }
+        Ok(Scan {
+            name: index.to_string(),
+            ..Default::default()
+        })
+    }
+
     impl Source for Counting {
-        fn format(&self) -> &'static str {
+        fn format(&self) -> &str {
             "counting"
+        }
+        fn sensors(&self) -> &[Sensor] {
+            &[]
         }
         fn scans(&self) -> &[ScanRef] {
             &self.scans
         }
         fn read(&self, index: usize) -> Result<Scan> {
             self.reads.fetch_add(1, Ordering::SeqCst);
-            assert_ne!(index, 9, "on purpose");
-            // Odd scans take longer: the order must not depend on it.
-            std::thread::sleep(Duration::from_millis(3 * (index % 2) as u64));
-            if index == 7 {
-                return Err(Error::format("7.bin", "broken"));
-            }
-            Ok(Scan {
-                name: index.to_string(),
-                ..Default::default()
+            number(index)
+        }
+    }
+
+    /// The same as a stream of so many scans, of two sensors that take turns.
+    struct Flowing {
+        next: usize,
+        end: usize,
+        reads: Arc<AtomicUsize>,
+    }
+
+    impl Stream for Flowing {
+        fn format(&self) -> &str {
+            "flowing"
+        }
+        fn sensors(&self) -> &[Sensor] {
+            &[]
+        }
+        fn next(&mut self) -> Option<StreamedScan> {
+            let index = self.next;
+            self.next += 1;
+            self.reads.fetch_add(1, Ordering::SeqCst);
+            (index < self.end).then(|| StreamedScan {
+                sensor: index % 2,
+                scan: number(index),
             })
         }
     }
 
-    fn dataset() -> (Dataset, Arc<AtomicUsize>) {
+    fn source() -> (Arc<dyn Source>, Arc<AtomicUsize>) {
         let reads = Arc::new(AtomicUsize::new(0));
-        let scans = (0..20)
-            .map(|i| ScanRef {
-                name: format!("{i}.bin"),
-                timestamp_secs: None,
-                pose: Pose::IDENTITY,
-            })
-            .collect();
+        let scan = |i: usize| ScanRef {
+            name: format!("{i}.bin"),
+            sensor: i % 2,
+            time_ns: None,
+            pose: None,
+        };
         let source = Counting {
-            scans,
+            scans: (0..20).map(scan).collect(),
             reads: reads.clone(),
         };
-        (Dataset::new(source), reads)
+        (Arc::new(source), reads)
+    }
+
+    fn live(end: usize) -> (Live, Arc<AtomicUsize>) {
+        let reads = Arc::new(AtomicUsize::new(0));
+        let stream = Flowing {
+            next: 0,
+            end,
+            reads: reads.clone(),
+        };
+        (Live::new(stream), reads)
+    }
+
+    /// Waits until the background has come to a rest; fails if it never reads that much.
+    fn rests_at(reads: &AtomicUsize, count: usize) {
+        while reads.load(Ordering::SeqCst) < count {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        // It would read on at once.
+        std::thread::sleep(Duration::from_millis(50));
+        assert_eq!(reads.load(Ordering::SeqCst), count);
     }
 
     #[test]
     fn scans_come_in_order_and_a_broken_one_does_not_end_the_run() {
-        let (dataset, _) = dataset();
-        let read: Vec<_> = dataset.iter_range(0..9, 1).collect();
-        assert_eq!(
-            read.iter().map(|s| s.index).collect::<Vec<_>>(),
-            (0..9).collect::<Vec<_>>()
-        );
-        for s in &read {
-            match &s.scan {
-                Ok(scan) => assert_eq!(scan.name, s.index.to_string()),
-                Err(e) => assert_eq!((s.index, e.to_string().as_str()), (7, "7.bin: broken")),
+        let (live, _) = live(9);
+        for scans in [
+            ReadAhead::of_source(source().0, (0..9).collect()),
+            ReadAhead::of_stream(&live, Selection::default()),
+        ] {
+            let read: Vec<_> = scans.collect();
+            let numbers: Vec<_> = read.iter().map(|s| (s.index, s.sensor)).collect();
+            assert_eq!(numbers, (0..9).map(|i| (i, i % 2)).collect::<Vec<_>>());
+            for s in &read {
+                match &s.scan {
+                    Ok(scan) => assert_eq!(scan.name, s.index.to_string()),
+                    Err(e) => assert_eq!((s.index, e.to_string().as_str()), (7, "7.bin: broken")),
+                }
             }
+            // It slept that long; how much longer it took is up to the machine.
+            assert!(read[1].read_secs >= 0.003);
         }
-        assert!(read[1].read_secs >= 0.003 && read[1].read_secs < 1.0);
-    }
-
-    #[test]
-    fn a_range_is_clamped_and_stepped() {
-        let (dataset, _) = dataset();
-        let numbers = |range, step| dataset.iter_range(range, step).map(|s| s.index).collect::<Vec<_>>();
-        assert_eq!(numbers(10..99, 4), [10, 14, 18]);
-        assert_eq!(numbers(3..5, 0), [3, 4]);
-        assert_eq!(numbers(30..40, 1), [0; 0]);
     }
 
     #[test]
     fn no_more_than_two_scans_wait_and_dropping_stops_the_reading() {
-        let (dataset, reads) = dataset();
-        let mut scans = dataset.iter_range(0..20, 1);
+        let (source, reads) = source();
+        let mut scans = ReadAhead::of_source(source, (0..20).collect());
+        assert_eq!(scans.size_hint(), (20, Some(20)));
         assert_eq!(scans.next().map(|s| s.index), Some(0));
-        std::thread::sleep(Duration::from_millis(100));
-        assert_eq!(reads.load(Ordering::SeqCst), 3);
+        rests_at(&reads, 3);
         drop(scans);
         assert_eq!(reads.load(Ordering::SeqCst), 3);
     }
 
     #[test]
+    fn a_stream_has_no_length_is_read_ahead_and_read_once() {
+        let (live, reads) = live(usize::MAX);
+        let selection = Selection {
+            from: 2,
+            step: 4,
+            ..Default::default()
+        };
+        let mut scans = ReadAhead::of_stream(&live, selection);
+        assert_eq!(scans.size_hint(), (0, None));
+        assert_eq!(scans.next().map(|s| s.index), Some(2));
+        // Scan 9 of the stream panics, between those that are selected.
+        let read = scans.next().unwrap();
+        assert_eq!((read.index, read.scan.is_ok()), (6, true));
+        let died = scans.next().unwrap().scan.unwrap_err().to_string();
+        assert_eq!(died, "flowing: the thread that was to read it has died");
+        assert!(scans.next().is_none());
+        assert_eq!(reads.load(Ordering::SeqCst), 10);
+        let again: Vec<_> = ReadAhead::of_stream(&live, Selection::default()).collect();
+        assert_eq!(again.len(), 1);
+        let told = again[0].scan.as_ref().unwrap_err().to_string();
+        assert_eq!(told, "flowing: is a stream: it is read once, from its begin");
+    }
+
+    #[test]
+    fn no_more_than_two_scans_of_a_stream_wait() {
+        let (live, reads) = live(usize::MAX);
+        let mut scans = ReadAhead::of_stream(&live, Selection::default());
+        assert_eq!(scans.next().map(|s| s.index), Some(0));
+        rests_at(&reads, 3);
+        drop(scans);
+        rests_at(&reads, 3);
+        // Not a scan more than selected is read.
+        let (live, reads) = self::live(usize::MAX);
+        let selection = "1..4:2".parse().unwrap();
+        let numbers: Vec<_> = ReadAhead::of_stream(&live, selection).map(|s| s.index).collect();
+        assert_eq!((numbers, reads.load(Ordering::SeqCst)), (vec![1, 3], 4));
+    }
+
+    #[test]
     fn a_reader_that_panics_is_reported_by_name() {
-        let (dataset, _) = dataset();
-        let read: Vec<_> = dataset.iter_indices(vec![8, 9, 10]).collect();
+        let read: Vec<_> = ReadAhead::of_source(source().0, vec![8, 9, 10]).collect();
         assert!(read[0].scan.is_ok() && read[2].scan.is_ok());
         let message = read[1].scan.as_ref().unwrap_err().to_string();
         assert_eq!(message, "9.bin: the thread that was to read it has died");

@@ -123,12 +123,13 @@ impl Trajectory {
         Some(Interpolation::new(before, after).at(s))
     }
 
-    /// The same trajectory of another frame that is fixed to the body: `world_from_other` for `body_from_other`.
+    /// The same times with `f` of each pose: `|pose| pose * body_from_sensor`, for instance. Poses that are not finite then make
+    /// the poses between them such, too.
     #[must_use]
-    pub fn of_frame(&self, body_from_other: &Pose) -> Self {
+    pub fn map(&self, f: impl FnMut(&Pose) -> Pose) -> Self {
         Self {
             times_ns: self.times_ns.clone(),
-            poses: self.poses.iter().map(|&pose| pose * *body_from_other).collect(),
+            poses: self.poses.iter().map(f).collect(),
         }
     }
 

@@ -3,7 +3,7 @@ use std::path::Path;
 
 use tsdfuse::glam::{DVec3, Vec3};
 
-use crate::dataset::{Dataset, OpenOptions};
+use crate::{Log, OpenOptions};
 
 /// A PCD of one point at x = 1, with a time in nanoseconds.
 fn pcd(folder: &Path, name: &str, viewpoint: &str, nanos: u32) {
@@ -28,11 +28,11 @@ fn tum(path: &Path, start: f64) {
 
 const STILL: &str = "0 0 0 1 0 0 0";
 
-fn xs(dataset: &Dataset) -> Vec<f64> {
+fn xs(dataset: &Log) -> Vec<f64> {
     dataset
         .scans()
         .iter()
-        .map(|s| (s.pose.translation.x * 1e6).round() / 1e6)
+        .map(|s| (s.pose.unwrap().translation.x * 1e6).round() / 1e6)
         .collect()
 }
 
@@ -64,7 +64,7 @@ fn clouds_named_by_time_are_placed_and_moved_along_a_trajectory() {
     );
     let scan = dataset.read(1).unwrap();
     assert_eq!((scan.points[0], scan.times.as_deref()), (Vec3::X, Some(&[0.04][..])));
-    let at = scan.trajectory().unwrap().at(0.04).translation.x;
+    let at = scan.sweep().unwrap().at(0.04).translation.x;
     assert!((at - 1.9).abs() < 1e-5, "{at}");
 }
 
@@ -97,7 +97,7 @@ fn viewpoints_are_poses_where_there_is_no_pose_file() {
     pcd(dir.path(), "10.pcd", "8 0 0 0 0 0 1", 0);
     let dataset = crate::open(dir.path()).unwrap();
     assert_eq!(xs(&dataset), [7.0, 8.0]);
-    let in_world = dataset.scans()[1].pose.transform_point(DVec3::X);
+    let in_world = dataset.scans()[1].pose.unwrap().transform_point(DVec3::X);
     assert!(in_world.distance(DVec3::new(7.0, 0.0, 0.0)) < 1e-12);
 
     fs::write(dir.path().join("poses.txt"), "1 0 0 1 0 1 0 0 0 0 1 0\n".repeat(2)).unwrap();
@@ -110,13 +110,11 @@ fn viewpoints_are_poses_where_there_is_no_pose_file() {
 }
 
 #[test]
-fn clouds_without_any_pose_and_in_two_folders_are_refused() {
+fn clouds_without_any_pose_open_and_those_in_two_folders_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     pcd(&dir.path().join("a"), "1.pcd", STILL, 0);
-    assert_eq!(
-        refused(dir.path()),
-        "DIR: holds scans but no poses.txt or other pose file, nor VIEWPOINTs"
-    );
+    let log = crate::open(dir.path()).unwrap();
+    assert!(log.scans()[0].pose.is_none() && log.notes()[0].contains("the scans' poses are not known"));
     pcd(&dir.path().join("b"), "1.pcd", STILL, 0);
     assert_eq!(
         refused(dir.path()),
@@ -133,7 +131,7 @@ fn ply_clouds_and_point_files_are_opened_where_they_lie() {
     ply(&clouds, "a2.ply");
     for path in [dir.path(), &clouds] {
         let dataset = crate::open(path).unwrap();
-        assert_eq!((dataset.format(), dataset.len()), ("PLY folder", 2));
+        assert_eq!((dataset.format(), dataset.len()), ("PLY folder", Some(2)));
         assert_eq!(dataset.read(1).unwrap().points, [Vec3::X]);
     }
     let bins = dir.path().join("points");

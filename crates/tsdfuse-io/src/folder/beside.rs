@@ -2,66 +2,119 @@
 
 use std::path::{Path, PathBuf};
 
-use tsdfuse::SensorModel;
+use serde::Deserialize;
 use tsdfuse::scan::PoseAt;
+use tsdfuse::{Pose, SensorModel};
 
-use crate::dataset::OpenOptions;
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::poses::{self, Poses};
-use crate::{calib, text};
+use crate::source::{OpenOptions, Sensor};
+use crate::{calib, present, text};
 
 /// The motion of each scan, where the file is there and says so.
 pub(super) fn motions(path: &Path, files: &[ScanFile]) -> Result<Vec<Vec<PoseAt>>> {
-    if !path.is_file() {
+    if !present::file(path)? {
         return Ok(vec![Vec::new(); files.len()]);
     }
     let bytes = files::read(path)?;
-    let rows: Result<Vec<_>> = text::lines(path, &bytes)?
-        .map(|line| {
-            if line.text == "-" {
-                return Ok(Vec::new());
-            }
-            let mut motion: Vec<PoseAt> = Vec::new();
-            for numbers in line.numbers()?.chunks(1 + 12) {
-                let (secs, pose) = match numbers.split_first() {
-                    Some((&secs, pose)) if secs.is_finite() && secs != 0.0 => (secs, poses::matrix(&line, pose)?),
-                    _ => return Err(line.error("the seconds to a pose are zero or not finite")),
-                };
-                if motion.last().is_some_and(|last| last.secs >= secs) {
-                    return Err(line.error(format!("the pose at {secs} s is not later than the one before")));
-                }
-                motion.push(PoseAt { secs, pose });
-            }
-            Ok(motion)
-        })
-        .collect();
+    let rows: Result<Vec<_>> = text::lines(path, &bytes)?.map(|line| motion(&line)).collect();
     poses::rows_of_scans(path, "lines", &rows?, files)
 }
 
-/// The sensor's model: the one asked for, or that of `sensor.toml`.
-pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<Option<SensorModel>> {
-    if let Some(name) = &options.sensor {
-        let model = tsdfuse::sensor::model(name).ok_or_else(|| {
-            let known = tsdfuse::sensor::names().join(", ");
-            Error::dataset(root, format!("there is no sensor model {name:?}; known are {known}"))
-        })?;
-        return Ok(Some(model));
+/// One line of `motion.txt`: seconds and a pose, as often as there are poses.
+fn motion(line: &text::Line) -> Result<Vec<PoseAt>> {
+    if line.text == "-" {
+        return Ok(Vec::new());
     }
-    let path = root.join("sensor.toml");
-    path.is_file()
-        .then(|| parse_sensor(&path, &files::read(&path)?))
-        .transpose()
+    let mut motion: Vec<PoseAt> = Vec::new();
+    for numbers in line.numbers()?.chunks(1 + 12) {
+        let (secs, pose) = match numbers.split_first() {
+            Some((&secs, pose)) if secs.is_finite() && secs != 0.0 => (secs, poses::matrix(line, pose)?),
+            _ => return Err(line.error("the seconds to a pose are zero or not finite")),
+        };
+        if motion.last().is_some_and(|last| last.secs >= secs) {
+            return Err(line.error(format!("the pose at {secs} s is not later than the one before")));
+        }
+        motion.push(PoseAt { secs, pose });
+    }
+    Ok(motion)
 }
 
-/// Parses `sensor.toml`; `path` is for messages.
+/// The sensor: the model asked for, or that of `sensor.toml`, and where it sits on the body.
+pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<Sensor> {
+    let path = root.join("sensor.toml");
+    let told = present::file(&path)?.then(|| parse_sensor(&path, &files::read(&path)?));
+    let (mut model, body_from_sensor) = told.transpose()?.unwrap_or_default();
+    match options.sensors.as_slice() {
+        [] => {}
+        [name] => {
+            model = Some(tsdfuse::sensor::model(name).ok_or_else(|| {
+                let known = tsdfuse::sensor::names().join(", ");
+                Error::dataset(root, format!("there is no sensor model {name:?}; known are {known}"))
+            })?);
+        }
+        [a, b, ..] => {
+            let reason = format!("holds the scans of one sensor, which cannot be both {a:?} and {b:?}");
+            return Err(Error::dataset(root, reason));
+        }
+    }
+    Ok(Sensor {
+        body_from_sensor: options.extrinsics.or(body_from_sensor).unwrap_or_default(),
+        ..of_model(model)
+    })
+}
+
+/// A sensor that is called after its model.
+pub(super) fn of_model(model: Option<SensorModel>) -> Sensor {
+    let name = model.as_ref().map_or("lidar", |model| model.name.as_str());
+    Sensor {
+        model: model.clone(),
+        ..Sensor::new(name)
+    }
+}
+
+/// What `sensor.toml` may hold.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SensorFile {
+    name: String,
+    elevations_deg: Vec<f32>,
+    columns: u32,
+    min_range_m: f32,
+    max_range_m: f32,
+    body_from_sensor: Option<[f64; 12]>,
+}
+
+/// A `sensor.toml` without a model.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ExtrinsicsOnly {
+    body_from_sensor: [f64; 12],
+}
+
+/// Parses `sensor.toml`: the model, and `body_from_sensor`; one of them may be missing. `path` is for messages.
 ///
 /// # Errors
 /// Names the file and what no sensor can have.
-pub(crate) fn parse_sensor(path: &Path, bytes: &[u8]) -> Result<SensorModel> {
-    let model: SensorModel = text::toml(path, bytes)?;
+pub(crate) fn parse_sensor(path: &Path, bytes: &[u8]) -> Result<(Option<SensorModel>, Option<Pose>)> {
+    let pose = |numbers: [f64; 12]| {
+        let pose = Pose::from_row_major_3x4(&numbers);
+        pose.map_err(|e| Error::format(path, format!("body_from_sensor: {e}")))
+    };
+    if let Ok(ExtrinsicsOnly { body_from_sensor }) = text::toml(path, bytes) {
+        return Ok((None, Some(pose(body_from_sensor)?)));
+    }
+    let file: SensorFile = text::toml(path, bytes)?;
+    let model = SensorModel {
+        name: file.name,
+        elevations_deg: file.elevations_deg,
+        columns: file.columns,
+        min_range_m: file.min_range_m,
+        max_range_m: file.max_range_m,
+    };
     model.check().map_err(|e| Error::format(path, e.to_string()))?;
-    Ok(model)
+    Ok((Some(model), file.body_from_sensor.map(pose).transpose()?))
 }
 
 /// Poses and the file they come from.
@@ -72,16 +125,19 @@ pub(crate) struct PoseFile {
     pub(crate) note: Option<String>,
 }
 
-/// The poses asked for, or those found in the folder, or those `elsewhere`.
+/// The poses asked for, or those found in the folder, or those `elsewhere`; `None` where there are none.
 ///
-/// They are `world_from_sensor`, unless a `calib.txt` with a `Tr` lies in the folder or beside the pose file: then they
-/// are the camera's, P, and `world_from_sensor = Tr⁻¹ · P · Tr`.
-pub(crate) fn poses(root: &Path, options: &OpenOptions, elsewhere: &Path) -> Result<PoseFile> {
+/// They are `world_from_sensor` (or `world_from_body`, where the sensor's extrinsics are told), unless a `calib.txt` with a
+/// `Tr` lies in the folder or beside the pose file: then they are the camera's, P, and `world_from_sensor = Tr⁻¹ · P · Tr`.
+pub(crate) fn poses(root: &Path, options: &OpenOptions, elsewhere: &Path) -> Result<Option<PoseFile>> {
     let found = match &options.poses {
         Some(path) => Some(path.clone()),
-        None => poses::find(root)?.or_else(|| elsewhere.is_file().then(|| elsewhere.to_owned())),
+        None => match poses::find(root)? {
+            None if present::file(elsewhere)? => Some(elsewhere.to_owned()),
+            found => found,
+        },
     };
-    let path = found.ok_or_else(|| Error::dataset(root, "holds scans but no poses.txt or other pose file"))?;
+    let Some(path) = found else { return Ok(None) };
     let mut poses = poses::read(&path)?;
     let beside = || calib::in_folder(path.parent().unwrap_or(Path::new("")));
     let calibration = calib::in_folder(root)?.map_or_else(beside, |tr| Ok(Some(tr)))?;
@@ -90,7 +146,7 @@ pub(crate) fn poses(root: &Path, options: &OpenOptions, elsewhere: &Path) -> Res
         poses.map(|pose| sensor_from_camera * *pose * camera_from_sensor);
     }
     let given_for_camera = options.poses.is_some() && calibration.is_some();
-    Ok(PoseFile {
+    Ok(Some(PoseFile {
         note: given_for_camera.then(|| {
             format!(
                 "the poses of {} are taken as the camera's, by calib.txt",
@@ -99,5 +155,5 @@ pub(crate) fn poses(root: &Path, options: &OpenOptions, elsewhere: &Path) -> Res
         }),
         path,
         poses,
-    })
+    }))
 }

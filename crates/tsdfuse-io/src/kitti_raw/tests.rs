@@ -43,15 +43,18 @@ fn scans_stand_where_the_packets_say_at_their_own_time() {
     let dir = tempfile::tempdir().unwrap();
     let drive = drive(dir.path());
     let dataset = crate::open(&drive).unwrap();
-    assert_eq!((dataset.format(), dataset.len()), ("KITTI raw", 3));
+    assert_eq!((dataset.format(), dataset.len()), ("KITTI raw", Some(3)));
     assert_eq!(
         dataset.notes(),
         ["no calib_imu_to_velo.txt: the scanner is taken to be where the IMU is"]
     );
-    assert_eq!(dataset.sensor().map(|s| s.name).as_deref(), Some("hdl64e"));
+    assert_eq!(
+        dataset.sensors()[0].model.as_ref().map(|s| s.name.as_str()),
+        Some("hdl64e")
+    );
     for (scan, x) in dataset.scans().iter().zip([0.05, 2.05, 3.05]) {
         assert!(
-            scan.pose.translation.distance(DVec3::new(x, 0.0, 0.0)) < 1e-5,
+            scan.pose.unwrap().translation.distance(DVec3::new(x, 0.0, 0.0)) < 1e-5,
             "{scan:?}"
         );
     }
@@ -65,10 +68,47 @@ fn scans_stand_where_the_packets_say_at_their_own_time() {
     .unwrap();
     let dataset = crate::open(&drive).unwrap();
     assert!(dataset.notes().is_empty());
-    let imu_in_world = dataset.scans()[0].pose.transform_point(DVec3::new(0.0, 0.5, 0.0));
+    let imu_in_world = dataset.scans()[0]
+        .pose
+        .unwrap()
+        .transform_point(DVec3::new(0.0, 0.5, 0.0));
     assert!(imu_in_world.distance(DVec3::new(0.05, 0.0, 0.0)) < 1e-5);
-    let forward = dataset.scans()[0].pose.rotation * DVec3::Y;
+    let forward = dataset.scans()[0].pose.unwrap().rotation * DVec3::Y;
     assert!(forward.distance(DVec3::X) < 1e-12, "the car's x is the scanner's y");
+}
+
+#[test]
+fn packets_are_the_trajectory_and_the_imu_of_the_log() {
+    let dir = tempfile::tempdir().unwrap();
+    let drive = drive(dir.path());
+    let calibration = "calib_time: x\nR: 0 -1 0 1 0 0 0 0 1\nT: 0 0.5 0\n";
+    fs::write(dir.path().join("calib_imu_to_velo.txt"), calibration).unwrap();
+    // The last packet has rates and accelerations, too: 11 to 13 and 17 to 19.
+    let numbers: Vec<String> = (6..30).map(|i| i.to_string()).collect();
+    let last = format!(
+        "0 {:.12} 100 0 0 1.5 {}\n",
+        3.0 / 111_319.490_793_273_57,
+        numbers.join(" ")
+    );
+    fs::write(drive.join("oxts/data/0000000003.txt"), last).unwrap();
+    let log = crate::open(&drive).unwrap();
+    let trajectory = log.trajectory().unwrap();
+    let (first, end) = trajectory.span_ns();
+    assert_eq!((first % 1_000_000_000, end - first), (0, 300_000_000));
+    // The body is the IMU; the scanner's pose follows from it.
+    let scan = &log.scans()[1];
+    let body = trajectory.at(scan.time_ns.unwrap()).unwrap();
+    let pose = body * log.sensors()[0].body_from_sensor;
+    assert!(body.translation.distance(DVec3::new(2.05, 0.0, 0.0)) < 1e-5, "{body:?}");
+    assert!(pose.translation.distance(scan.pose.unwrap().translation) < 1e-9);
+    let samples = log.imu().unwrap();
+    let [sample] = samples.as_slice() else {
+        panic!("{samples:?}")
+    };
+    assert_eq!(sample.time_ns, end);
+    assert_eq!(sample.acceleration, DVec3::new(11.0, 12.0, 13.0));
+    assert_eq!(sample.angular_velocity, DVec3::new(17.0, 18.0, 19.0));
+    assert!((sample.orientation.unwrap() * DVec3::X).distance(DVec3::new(1.5f64.cos(), 1.5f64.sin(), 0.0)) < 1e-12);
 }
 
 #[test]
@@ -95,10 +135,9 @@ fn packets_that_do_not_fit_are_named() {
         "DRIVE/oxts/data/0000000003.txt: line 1: 2 numbers where lat lon alt roll pitch yaw were expected"
     );
     fs::remove_dir_all(drive.join("oxts")).unwrap();
-    assert_eq!(
-        refused(&drive),
-        "DRIVE: holds scans but no poses.txt or other pose file"
-    );
+    let log = crate::open(&drive).unwrap();
+    assert!(log.scans().iter().all(|scan| scan.pose.is_none()) && log.trajectory().is_none());
+    assert!(log.imu().unwrap().is_empty());
 }
 
 #[test]

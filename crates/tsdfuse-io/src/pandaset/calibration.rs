@@ -40,14 +40,14 @@ const PANDAR64_FROM_PANDARGT: ([f64; 4], [f64; 3]) = (
 
 /// One of the two sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Sensor {
+pub(super) enum Lidar {
     /// The rotating sensor on the roof.
     Pandar64,
     /// The solid-state sensor that looks ahead.
     PandarGt,
 }
 
-impl Sensor {
+impl Lidar {
     /// The sensor of that name; case, hyphens, underscores and blanks do not matter.
     pub(super) fn named(name: &str) -> Option<Self> {
         let letters = name.chars().filter(|c| !matches!(c, '-' | '_' | ' '));
@@ -55,6 +55,14 @@ impl Sensor {
             "pandar64" => Some(Self::Pandar64),
             "pandargt" => Some(Self::PandarGt),
             _ => None,
+        }
+    }
+
+    /// Its name on the command line.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Pandar64 => "pandar64",
+            Self::PandarGt => "pandargt",
         }
     }
 

@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::de::{DeserializeOwned, DeserializeSeed, Deserializer, SeqAccess, Visitor};
+use tsdfuse::Trajectory;
 use tsdfuse::glam::{DQuat, DVec3};
 use tsdfuse::pose::{Pose, PoseError};
+use tsdfuse::trajectory::ns_after;
 
 use crate::error::{Error, Result};
-use crate::files;
+use crate::{files, present};
 
 /// What a `lidar` folder holds. The scan `NN.pkl.gz` belongs to entry NN of `poses.json` and of `timestamps.json`.
 #[derive(Debug)]
@@ -31,7 +33,7 @@ impl Frames {
         let poses = parse_poses(&path, &files::read(&path)?)?;
         let times = lidar.join("timestamps.json");
         let read = || parse_times(&times, &files::read(&times)?, poses.len());
-        let times = times.is_file().then(read).transpose()?;
+        let times = present::file(&times)?.then(read).transpose()?;
         Ok(Self {
             poses,
             times,
@@ -43,6 +45,12 @@ impl Frames {
     /// When the frame's sweep ended, seconds.
     pub(super) fn time(&self, frame: usize) -> Option<f64> {
         self.times.as_ref()?.get(frame).copied()
+    }
+
+    /// `world_from_ego` over time.
+    pub(super) fn trajectory(&self) -> Option<Trajectory> {
+        let times_ns = self.times.as_ref()?.iter().map(|&secs| ns_after(0, secs));
+        Trajectory::new(times_ns.zip(self.poses.iter().copied()).collect()).ok()
     }
 
     /// The frame before, from whose pose the sensor comes (for the first one: the frame after), and the seconds until it.
@@ -158,18 +166,12 @@ pub(crate) fn parse_times(path: &Path, bytes: &[u8], poses: usize) -> Result<Vec
         let reason = format!("{} times, but poses.json has {poses} poses", times.len());
         return Err(Error::format(path, reason));
     }
-    match times.is_sorted_by(|a, b| a < b) {
-        true => Ok(times),
-        false => {
-            let after = times
-                .windows(2)
-                .position(|w| !matches!(w, [a, b] if a < b))
-                .unwrap_or(0)
-                + 1;
-            Err(Error::format(
-                path,
-                format!("frame {after}: its time is not after that of frame {}", after - 1),
-            ))
+    let wrong = times.windows(2).position(|w| !matches!(w, [a, b] if a < b));
+    match wrong {
+        None => Ok(times),
+        Some(before) => {
+            let reason = format!("frame {}: its time is not after that of frame {before}", before + 1);
+            Err(Error::format(path, reason))
         }
     }
 }

@@ -10,8 +10,11 @@
 //!   on its beams, which poses at 10 Hz alone do not achieve. The PandarGT sweeps on its own clock, up to 0.05 s earlier or
 //!   later.
 //! - Both sensors share a file: `d` is 0 for the Pandar64, 1 for the PandarGT.
+//!
+//! The vehicle's poses are the log's trajectory. Its images are those of `camera/*/`, beside `lidar/`.
 
 mod calibration;
+pub(crate) mod cameras;
 pub(crate) mod frames;
 mod motion;
 mod returns;
@@ -22,35 +25,37 @@ use std::path::{Path, PathBuf};
 
 use tsdfuse::scan::PoseAt;
 use tsdfuse::trajectory::ns_after;
-use tsdfuse::{Pose, Scan, SensorModel};
+use tsdfuse::{Scan, Trajectory};
 
-use crate::dataset::{OpenOptions, ScanRef, Source};
 use crate::error::{Error, Result};
 use crate::files::ScanFile;
 use crate::pickle::{self, DataFrame};
 use crate::poses;
-use calibration::Sensor;
+use crate::source::{ImageRef, OpenOptions, ScanRef, Sensor, Source};
+use calibration::Lidar;
 use frames::Frames;
+use motion::Placement;
 use returns::Returns;
 
-/// A PandaSet sequence: the scans of one of its two sensors.
+/// A PandaSet sequence: the scans of one of its two sensors, or of both.
 #[derive(Debug)]
 pub struct PandaSet {
     lidar: PathBuf,
-    sensor: Sensor,
+    lidars: Vec<Lidar>,
+    sensors: Vec<Sensor>,
     scans: Vec<ScanRef>,
-    sweeps: Vec<Sweep>,
+    /// As long as `scans`.
+    entries: Vec<Entry>,
+    trajectory: Option<Trajectory>,
+    images: Vec<ImageRef>,
     notes: Vec<String>,
 }
 
-/// Where the sensor was during a sweep, by the poses of the data set, in whose world its points are stored.
-#[derive(Clone, Copy, Debug)]
-struct Sweep {
-    /// `world_from_sensor` at the frame's time.
-    pose: Pose,
-    /// Seconds of the frame.
-    secs: Option<f64>,
-    motion: Option<PoseAt>,
+/// The file of a scan, and where its sensor was by the poses of the data set.
+#[derive(Debug)]
+struct Entry {
+    file: String,
+    sweep: Placement,
 }
 
 impl PandaSet {
@@ -59,75 +64,129 @@ impl PandaSet {
         lidar_folder(dir).is_some()
     }
 
-    /// Opens a sequence, or the `lidar` folder of one. `options.sensor` is `pandar64` (the default) or `pandargt`.
+    /// Opens a sequence, or the `lidar` folder of one. `options.sensors` are `pandar64` (the default), `pandargt`, or both.
     ///
     /// Frames without a scan and scans without a pose are left out and named in [`Source::notes`]. Without
     /// `timestamps.json`, or with a single pose, all returns of a scan are placed from its frame's pose. `options.poses`, of
-    /// the chosen sensor, place the scans elsewhere; what happens within a sweep stays as the data set has it.
+    /// the first chosen sensor, place the scans elsewhere; what happens within a sweep stays as the data set has it.
     ///
     /// # Errors
     /// Names the folder, or the file and frame, and the reason.
     pub fn open(dir: &Path, options: &OpenOptions) -> Result<Self> {
         let lidar = lidar_folder(dir).ok_or_else(|| Error::dataset(dir, "has no lidar/poses.json"))?;
-        let sensor = match options.sensor.as_deref() {
-            None => Sensor::Pandar64,
-            Some(name) => Sensor::named(name)
-                .ok_or_else(|| Error::dataset(dir, format!("has no sensor '{name}': it is pandar64 or pandargt")))?,
-        };
-        let ego_from_sensor = sensor.ego_from_sensor();
+        let lidars = lidars(dir, &options.sensors)?;
+        if options.extrinsics.is_some() {
+            return Err(Error::dataset(
+                dir,
+                "knows where its sensors sit on the vehicle: no extrinsics are wanted",
+            ));
+        }
         let frames = Frames::open(&lidar)?;
-        let world_from_sensor = |frame: usize| frames.poses.get(frame).map(|pose| *pose * ego_from_sensor);
+        let (images, image_notes) = cameras::images(&lidar.join("../camera"));
         let mut sequence = Self {
-            lidar,
-            sensor,
+            sensors: lidars.iter().copied().map(sensor).collect(),
             scans: Vec::new(),
-            sweeps: Vec::new(),
+            entries: Vec::new(),
+            trajectory: frames.trajectory(),
+            images,
             notes: frames.notes(),
+            lidar,
+            lidars,
         };
-        for (&number, name) in &frames.scans {
-            let Some(pose) = world_from_sensor(number) else {
-                continue;
-            };
-            let motion = frames.neighbour(number).and_then(|(other, secs)| {
-                let pose = world_from_sensor(other)?;
-                Some(PoseAt { pose, secs })
-            });
-            let (name, secs) = (name.clone(), frames.time(number));
-            sequence.sweeps.push(Sweep { pose, secs, motion });
-            sequence.scans.push(ScanRef {
-                name,
-                timestamp_secs: secs,
-                pose,
-            });
+        sequence.notes.extend(image_notes);
+        for (&number, file) in &frames.scans {
+            for (sensor, lidar) in sequence.lidars.iter().enumerate() {
+                let ego_from_sensor = lidar.ego_from_sensor();
+                let world_from_sensor = |frame: usize| frames.poses.get(frame).map(|pose| *pose * ego_from_sensor);
+                let Some(pose) = world_from_sensor(number) else {
+                    continue;
+                };
+                let motion = frames.neighbour(number).and_then(|(other, secs)| {
+                    let pose = world_from_sensor(other)?;
+                    Some(PoseAt { pose, secs })
+                });
+                let secs = frames.time(number);
+                sequence.entries.push(Entry {
+                    file: file.clone(),
+                    sweep: Placement { pose, secs, motion },
+                });
+                sequence.scans.push(ScanRef {
+                    name: match sequence.lidars.len() {
+                        1 => file.clone(),
+                        _ => format!("{file} ({})", lidar.name()),
+                    },
+                    sensor,
+                    time_ns: secs.map(|secs| ns_after(0, secs)),
+                    pose: Some(pose),
+                });
+            }
+        }
+        if sequence.scans.is_empty() {
+            return Err(Error::dataset(&sequence.lidar, "has no scan NN.pkl.gz with a pose"));
         }
         if let Some(path) = &options.poses {
             sequence.place(path)?;
         }
-        match sequence.scans.is_empty() {
-            true => Err(Error::dataset(&sequence.lidar, "has no scan NN.pkl.gz with a pose")),
-            false => Ok(sequence),
-        }
+        Ok(sequence)
     }
 
-    /// Puts the scans at the poses of a file.
+    /// Puts the scans at the poses of a file, which are the first sensor's.
     fn place(&mut self, path: &Path) -> Result<()> {
-        let files = self.scans.iter().map(|scan| ScanFile {
-            path: self.lidar.join(&scan.name),
-            name: scan.name.replace(".pkl.gz", ".pkl"),
+        let first_of_each = (0..self.scans.len()).step_by(self.lidars.len());
+        let files = first_of_each.clone().map(|i| ScanFile {
+            path: self.lidar.join(&self.entries[i].file),
+            name: self.entries[i].file.replace(".pkl.gz", ".pkl"),
         });
-        let secs = self.scans.iter().map(|scan| scan.timestamp_secs).collect();
-        let placed = poses::place(path, &poses::read(path)?, &files.collect::<Vec<_>>(), secs)?;
-        for (scan, (pose, secs)) in self.scans.iter_mut().zip(placed) {
-            scan.pose = pose;
-            scan.timestamp_secs = secs;
+        let times_ns = first_of_each.map(|i| self.scans[i].time_ns).collect();
+        let placed = poses::place(path, &poses::read(path)?, &files.collect::<Vec<_>>(), times_ns)?;
+        let ego_from_first = self.sensors[0].body_from_sensor;
+        for (i, scan) in self.scans.iter_mut().enumerate() {
+            let (pose, time_ns) = placed[i / self.lidars.len()];
+            // The others move rigidly with the first.
+            scan.pose = Some(match scan.sensor {
+                0 => pose,
+                other => pose * (ego_from_first.inverse() * self.sensors[other].body_from_sensor),
+            });
+            scan.time_ns = time_ns;
         }
+        // The vehicle's is another one now.
+        self.trajectory = None;
         Ok(())
     }
 }
 
+/// The sensors of these names; without any, the Pandar64.
+fn lidars(dir: &Path, names: &[String]) -> Result<Vec<Lidar>> {
+    let mut lidars = Vec::new();
+    for name in names {
+        let lidar = Lidar::named(name)
+            .ok_or_else(|| Error::dataset(dir, format!("has no sensor '{name}': it is pandar64 or pandargt")))?;
+        if !lidars.contains(&lidar) {
+            lidars.push(lidar);
+        }
+    }
+    if lidars.is_empty() {
+        lidars.push(Lidar::Pandar64);
+    }
+    Ok(lidars)
+}
+
+fn sensor(lidar: Lidar) -> Sensor {
+    Sensor {
+        model: lidar.model(),
+        min_range_m: lidar.min_range_m(),
+        body_from_sensor: lidar.ego_from_sensor(),
+        ..Sensor::new(lidar.name())
+    }
+}
+
 impl Source for PandaSet {
-    fn format(&self) -> &'static str {
+    fn format(&self) -> &str {
         "PandaSet"
+    }
+
+    fn sensors(&self) -> &[Sensor] {
+        &self.sensors
     }
 
     fn scans(&self) -> &[ScanRef] {
@@ -137,35 +196,40 @@ impl Source for PandaSet {
     /// Reads one scan. A return whose time is missing or outside of the sweep has no known origin: it is given as a point
     /// that is not finite, so that it is dropped and counted as such.
     fn read(&self, index: usize) -> Result<Scan> {
-        let (Some(scan), Some(sweep)) = (self.scans.get(index), self.sweeps.get(index)) else {
+        let (Some(scan), Some(Entry { file, sweep })) = (self.scans.get(index), self.entries.get(index)) else {
             let reason = format!("has no scan {index}, only {}", self.scans.len());
             return Err(Error::dataset(&self.lidar, reason));
         };
-        let file = &self.lidar.join(&scan.name);
+        let file = &self.lidar.join(file);
         let pickle = pickle::load(file)?;
         let returns = DataFrame::new(&pickle).and_then(|table| Returns::new(&table, sweep));
-        let measured = returns.and_then(|returns| returns.measured(self.sensor, sweep));
-        let measured = measured.map_err(|reason| Error::format(file, reason))?;
+        let measured = returns.and_then(|returns| returns.measured(self.lidars[scan.sensor], sweep));
+        let mut measured = measured.map_err(|reason| Error::format(file, reason))?;
+        if self.lidars.len() > 1 {
+            // They come with their own scan.
+            measured.dropped.other_sensor = 0;
+        }
         // Other poses than the data set's move the whole sweep.
-        let moved = |motion: PoseAt| PoseAt {
-            pose: scan.pose * (sweep.pose.inverse() * motion.pose),
-            ..motion
+        let pose = scan.pose.unwrap_or(sweep.pose);
+        let moved = |motion: &PoseAt| PoseAt {
+            pose: pose * (sweep.pose.inverse() * motion.pose),
+            ..*motion
         };
         Ok(Scan {
             name: scan.name.clone(),
-            time_ns: scan.timestamp_secs.map(|secs| ns_after(0, secs)),
-            pose: Some(scan.pose),
-            motion: measured.motion.iter().copied().map(moved).collect(),
+            time_ns: scan.time_ns,
+            pose: Some(pose),
+            motion: measured.motion.iter().map(moved).collect(),
             ..measured
         })
     }
 
-    fn sensor(&self) -> Option<SensorModel> {
-        self.sensor.model()
+    fn trajectory(&self) -> Option<&Trajectory> {
+        self.trajectory.as_ref()
     }
 
-    fn min_range_m(&self) -> Option<f32> {
-        self.sensor.min_range_m()
+    fn images(&self) -> &[ImageRef] {
+        &self.images
     }
 
     fn notes(&self) -> &[String] {

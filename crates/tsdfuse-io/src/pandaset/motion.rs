@@ -17,6 +17,16 @@ use tsdfuse::glam::{DMat4, DQuat, DVec3, DVec4};
 use tsdfuse::scan::PoseAt;
 use tsdfuse::{Pose, SensorModel};
 
+/// Where the sensor was during a sweep, by the poses of the data set, in whose world its points are stored.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Placement {
+    /// `world_from_sensor` at the frame's time.
+    pub(super) pose: Pose,
+    /// Seconds of the frame.
+    pub(super) secs: Option<f64>,
+    pub(super) motion: Option<PoseAt>,
+}
+
 /// A return: its place in the sensor's frame at the frame's time, metres, and its own time after that, seconds.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Return {
@@ -59,9 +69,10 @@ pub(super) fn refine(motion: PoseAt, pose: Pose, sensor: &SensorModel, returns: 
     }
     let on_beam = |rates: Rates, r: &Return| beams.nearest(rates.seen(r)).0.abs() < ON_BEAM_DEG.to_radians();
     let count = |rates: Rates| sample.iter().filter(|r| on_beam(rates, r)).count();
-    match count(rates) > count(start) {
-        true => rates.motion(pose, motion.secs),
-        false => motion,
+    if count(rates) > count(start) {
+        rates.motion(pose, motion.secs)
+    } else {
+        motion
     }
 }
 
@@ -116,12 +127,12 @@ impl Rates {
             gradient += row * (off * weight);
         }
         let step = hessian.inverse() * gradient;
-        match step.is_finite() {
-            true => Self {
-                turn: self.turn - DVec3::new(step.x, step.y, 0.0),
-                velocity: self.velocity - DVec3::new(step.z, 0.0, step.w),
-            },
-            false => self,
+        if !step.is_finite() {
+            return self;
+        }
+        Self {
+            turn: self.turn - DVec3::new(step.x, step.y, 0.0),
+            velocity: self.velocity - DVec3::new(step.z, 0.0, step.w),
         }
     }
 

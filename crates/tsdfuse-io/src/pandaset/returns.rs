@@ -2,10 +2,10 @@
 
 use tsdfuse::Scan;
 use tsdfuse::glam::{DVec3, Vec3};
-use tsdfuse::scan::{Dropped, PoseAt, Sweep as PoseDuringSweep};
+use tsdfuse::scan::{Dropped, PoseAt, Sweep};
 
-use super::calibration::Sensor;
-use super::{Sweep, motion};
+use super::calibration::Lidar;
+use super::motion::{self, Placement};
 use crate::pickle::DataFrame;
 
 /// Returns farther than this from their frame's time were not measured in its sweep.
@@ -27,7 +27,7 @@ impl Returns {
     ///
     /// # Errors
     /// Names the column that is missing or holds no numbers.
-    pub(super) fn new(table: &DataFrame<'_>, sweep: &Sweep) -> Result<Self, String> {
+    pub(super) fn new(table: &DataFrame<'_>, sweep: &Placement) -> Result<Self, String> {
         let mut secs = Vec::new();
         if let (Some(_), Some(end)) = (sweep.motion, sweep.secs) {
             secs = table.column("t")?;
@@ -47,7 +47,7 @@ impl Returns {
     ///
     /// # Errors
     /// Most returns have no time within the sweep.
-    pub(super) fn measured(&self, sensor: Sensor, sweep: &Sweep) -> Result<Scan, String> {
+    pub(super) fn measured(&self, sensor: Lidar, sweep: &Placement) -> Result<Scan, String> {
         let mine = self.of(sensor);
         let mut scan = Scan {
             intensities: Some(mine.iter().map(|&k| self.intensity[k] as f32).collect()),
@@ -75,7 +75,7 @@ impl Returns {
             ));
         }
         let motion = self.refined(motion, sensor, sweep);
-        let trajectory = PoseDuringSweep::new(sweep.pose, &[motion]);
+        let trajectory = Sweep::new(sweep.pose, &[motion]);
         let place = |(&k, time): (&usize, &Option<f32>)| match *time {
             None => Vec3::NAN,
             Some(time) => {
@@ -91,18 +91,18 @@ impl Returns {
     }
 
     /// The motion of a sensor, from what the beams of the Pandar64 tell about the vehicle's.
-    fn refined(&self, motion: PoseAt, sensor: Sensor, sweep: &Sweep) -> PoseAt {
-        let Some(model) = Sensor::Pandar64.model() else {
+    fn refined(&self, motion: PoseAt, sensor: Lidar, sweep: &Placement) -> PoseAt {
+        let Some(model) = Lidar::Pandar64.model() else {
             return motion;
         };
-        let sensor_from_pandar64 = sensor.ego_from_sensor().inverse() * Sensor::Pandar64.ego_from_sensor();
+        let sensor_from_pandar64 = sensor.ego_from_sensor().inverse() * Lidar::Pandar64.ego_from_sensor();
         let of_pandar64 = PoseAt {
             pose: motion.pose * sensor_from_pandar64,
             ..motion
         };
         let world_from_pandar64 = sweep.pose * sensor_from_pandar64;
         let pandar64_from_world = world_from_pandar64.inverse();
-        let timed = self.of(Sensor::Pandar64).into_iter().filter_map(|k| {
+        let timed = self.of(Lidar::Pandar64).into_iter().filter_map(|k| {
             Some(motion::Return {
                 point: pandar64_from_world.transform_point(self.point_in_world(k)),
                 secs: self.secs(k)?,
@@ -116,7 +116,7 @@ impl Returns {
     }
 
     /// Which returns a sensor measured.
-    fn of(&self, sensor: Sensor) -> Vec<usize> {
+    fn of(&self, sensor: Lidar) -> Vec<usize> {
         let device = sensor.device();
         (0..self.device.len()).filter(|&k| self.device[k] == device).collect()
     }

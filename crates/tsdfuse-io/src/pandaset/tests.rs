@@ -1,3 +1,4 @@
+use tsdfuse::Pose;
 use tsdfuse::glam::{DQuat, DVec3, Vec3};
 use tsdfuse::scan::RangeLimits;
 
@@ -9,7 +10,7 @@ fn sample() -> PathBuf {
 
 fn options(sensor: &str) -> OpenOptions {
     OpenOptions {
-        sensor: Some(sensor.into()),
+        sensors: vec![sensor.into()],
         ..OpenOptions::default()
     }
 }
@@ -34,7 +35,7 @@ fn returns_lie_on_the_beams_of_the_sensor() {
     let names: Vec<_> = pandaset.scans().iter().map(|s| s.name.as_str()).collect();
     assert_eq!(names, ["44.pkl.gz", "45.pkl.gz", "46.pkl.gz"]);
     assert_eq!(pandaset.notes(), ["frames 0-43 and 47-79 have a pose but no scan"]);
-    assert_eq!(pandaset.sensor().unwrap().name, "pandar64");
+    assert_eq!(pandaset.sensors()[0].name, "pandar64");
     for index in 0..3 {
         let scan = pandaset.read(index).unwrap();
         scan.check().unwrap();
@@ -42,7 +43,7 @@ fn returns_lie_on_the_beams_of_the_sensor() {
         assert!(share > 0.97, "{}: {share}", scan.name);
         // The comparator can fail: without the sensor's own motion the returns leave the beams.
         let mut rigid = scan.clone();
-        let (trajectory, sensor_from_world) = (scan.trajectory().unwrap(), scan.pose.inverse());
+        let (trajectory, sensor_from_world) = (scan.sweep().unwrap(), scan.pose.unwrap().inverse());
         for (point, time) in rigid.points.iter_mut().zip(scan.times.as_ref().unwrap()) {
             let point_in_world = trajectory.at((*time).into()).transform_point(point.as_dvec3());
             *point = sensor_from_world.transform_point(point_in_world).as_vec3();
@@ -55,8 +56,8 @@ fn returns_lie_on_the_beams_of_the_sensor() {
 fn the_beams_tell_the_motion_where_poses_do_not() {
     let pandaset = PandaSet::open(&sample(), &OpenOptions::default()).unwrap();
     let scan = pandaset.read(1).unwrap();
-    let (truth, trajectory) = (scan.motion.unwrap(), scan.trajectory().unwrap());
-    let sensor_from_world = scan.pose.inverse();
+    let (truth, trajectory) = (scan.motion[0], scan.sweep().unwrap());
+    let sensor_from_world = scan.pose.unwrap().inverse();
     let returns: Vec<motion::Return> = scan
         .points
         .iter()
@@ -66,7 +67,7 @@ fn the_beams_tell_the_motion_where_poses_do_not() {
             secs: time.into(),
         })
         .collect();
-    let model = pandaset.sensor().unwrap();
+    let model = pandaset.sensors()[0].model.clone().unwrap();
     let off = |motion: &PoseAt| {
         let off = truth.pose.inverse() * motion.pose;
         (
@@ -81,10 +82,10 @@ fn the_beams_tell_the_motion_where_poses_do_not() {
         ..truth
     };
     assert!(off(&wrong).0 > 0.7 && off(&wrong).1 > 0.07);
-    let (off_deg, off_m) = off(&motion::refine(wrong, scan.pose, &model, &returns));
+    let (off_deg, off_m) = off(&motion::refine(wrong, scan.pose.unwrap(), &model, &returns));
     assert!(off_deg < 0.005 && off_m < 0.005, "{off_deg} degrees, {off_m} m");
     // Too few returns tell nothing.
-    let kept = motion::refine(wrong, scan.pose, &model, &returns[..900]);
+    let kept = motion::refine(wrong, scan.pose.unwrap(), &model, &returns[..900]);
     assert_eq!(kept.pose, wrong.pose);
 }
 
@@ -100,8 +101,8 @@ fn every_return_comes_back_to_where_the_file_has_it() {
         let mine: Vec<usize> = (0..d.len()).filter(|&k| d[k] == device as f64).collect();
         assert_eq!(scan.points.len(), mine.len());
         assert_eq!(scan.dropped.other_sensor as usize, d.len() - mine.len());
-        assert_eq!(scan.timestamp_secs, pandaset.scans()[1].timestamp_secs);
-        let trajectory = scan.trajectory().unwrap();
+        assert_eq!(scan.time_ns, pandaset.scans()[1].time_ns);
+        let trajectory = scan.sweep().unwrap();
         for ((&k, point), &time) in mine.iter().zip(&scan.points).zip(scan.times.as_ref().unwrap()) {
             let point_in_world = trajectory.at(time.into()).transform_point(point.as_dvec3());
             let off = point_in_world.distance(DVec3::new(x[k], y[k], z[k]));
@@ -139,13 +140,13 @@ fn roughness_deg(points: &[Vec3], origin: DVec3) -> (f64, f64) {
 #[test]
 fn the_pandargt_sees_its_scan_lines_from_its_published_origin() {
     let pandaset = PandaSet::open(&sample(), &options("pandargt")).unwrap();
-    assert!(pandaset.sensor().is_none());
+    assert!(pandaset.sensors()[0].model.is_none());
     for index in 0..3 {
         let scan = pandaset.read(index).unwrap();
         let (median, most) = roughness_deg(&scan.points, DVec3::ZERO);
         assert!(median < 0.01 && most < 0.03, "{}: {median}, {most}", scan.name);
         // Not from the Pandar64, nor from where the calibration would lie if it were meant the other way round.
-        let (gt, pandar64) = (Sensor::PandarGt.ego_from_sensor(), Sensor::Pandar64.ego_from_sensor());
+        let (gt, pandar64) = (Lidar::PandarGt.ego_from_sensor(), Lidar::Pandar64.ego_from_sensor());
         let gt_from_pandar64 = (gt.inverse() * pandar64).translation;
         for origin in [gt_from_pandar64, 2.0 * gt_from_pandar64] {
             let (_, most_elsewhere) = roughness_deg(&scan.points, origin);
@@ -265,6 +266,129 @@ fn the_sensor_is_chosen_by_name() {
     }
 }
 
+/// Each sensor sees what it sees alone; the trajectory is the vehicle's.
+#[test]
+fn both_sensors_are_read_with_their_own_extrinsics() {
+    let both = OpenOptions {
+        sensors: vec!["pandar64".into(), "pandargt".into()],
+        ..OpenOptions::default()
+    };
+    let pandaset = PandaSet::open(&sample(), &both).unwrap();
+    let names: Vec<_> = pandaset.sensors().iter().map(|s| s.name.as_str()).collect();
+    assert_eq!(names, ["pandar64", "pandargt"]);
+    let scans: Vec<_> = pandaset.scans().iter().map(|s| (s.name.as_str(), s.sensor)).collect();
+    assert_eq!(scans.len(), 6);
+    assert_eq!(
+        (scans[0], scans[3]),
+        (("44.pkl.gz (pandar64)", 0), ("45.pkl.gz (pandargt)", 1))
+    );
+    for (sensor, name) in names.into_iter().enumerate() {
+        let alone = PandaSet::open(&sample(), &options(name)).unwrap();
+        let (one, of_both) = (alone.read(1).unwrap(), pandaset.read(2 + sensor).unwrap());
+        assert_eq!(
+            (&one.points, one.pose, &one.motion),
+            (&of_both.points, of_both.pose, &of_both.motion)
+        );
+        assert!(one.dropped.other_sensor > 0 && of_both.dropped.other_sensor == 0);
+        let trajectory = pandaset.trajectory().unwrap();
+        let vehicle = trajectory.at(of_both.time_ns.unwrap()).unwrap();
+        let pose = vehicle * pandaset.sensors()[sensor].body_from_sensor;
+        assert!(pose.translation.distance(of_both.pose.unwrap().translation) < 1e-9);
+    }
+    // Other poses are the first sensor's; the second goes with it.
+    let folder = tempfile::tempdir().unwrap();
+    let poses = folder.path().join("poses.txt");
+    std::fs::write(&poses, "1 0 0 5 0 1 0 6 0 0 1 7\n".repeat(80)).unwrap();
+    let moved = OpenOptions {
+        poses: Some(poses),
+        ..both
+    };
+    let moved = PandaSet::open(&sample(), &moved).unwrap();
+    assert_eq!(moved.scans()[2].pose.unwrap().translation, DVec3::new(5.0, 6.0, 7.0));
+    let between = |log: &PandaSet| (log.scans()[2].pose.unwrap().inverse() * log.scans()[3].pose.unwrap()).translation;
+    assert!(between(&moved).distance(between(&pandaset)) < 1e-9 && between(&moved).length() > 0.5);
+    assert!(moved.trajectory().is_none());
+}
+
+#[test]
+fn images_of_cameras_are_found_and_a_broken_camera_is_noted() {
+    let small = Small::new();
+    let camera = small.0.path().join("camera");
+    for name in ["front_camera", "left_camera"] {
+        std::fs::create_dir_all(camera.join(name)).unwrap();
+        for (file, content) in [
+            (
+                "intrinsics.json",
+                "{\"fx\": 1970.0, \"fy\": 1971.0, \"cx\": 970.0, \"cy\": 483.3}",
+            ),
+            ("poses.json", POSES),
+            ("timestamps.json", "[1557539959.9, 1557539960.0, 1557539960.1]"),
+            ("02.jpg", "two"),
+            ("00.jpg", "nought"),
+        ] {
+            std::fs::write(camera.join(name).join(file), content).unwrap();
+        }
+    }
+    let pandaset = small.open().unwrap();
+    let names: Vec<_> = pandaset.images().iter().map(|image| image.name.as_str()).collect();
+    assert_eq!(
+        names,
+        [
+            "front_camera/00.jpg",
+            "front_camera/02.jpg",
+            "left_camera/00.jpg",
+            "left_camera/02.jpg"
+        ]
+    );
+    let image = &pandaset.images()[1];
+    assert_eq!((image.camera.width, image.camera.fy), (1920, 1971.0));
+    assert_eq!(image.pose.unwrap().translation, DVec3::Y * 2.0);
+    assert!((image.time_ns.unwrap() - 1_557_539_960_100_000_000).abs() < 1000);
+    assert_eq!(pandaset.read_image(1).unwrap(), b"two");
+    assert!(pandaset.read_image(4).unwrap_err().to_string().contains("no image 4"));
+
+    std::fs::write(camera.join("left_camera/intrinsics.json"), "{\"fx\": 1}").unwrap();
+    let pandaset = small.open().unwrap();
+    assert_eq!(pandaset.images().len(), 2);
+    let note = pandaset.notes().last().unwrap();
+    assert!(
+        note.starts_with("the images of left_camera are left out: ")
+            && note.contains("intrinsics.json: missing field `fy`"),
+        "{note}"
+    );
+}
+
+#[test]
+fn the_real_cameras_look_where_the_lidar_measures() {
+    let full = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/pandaset/002");
+    if !full.join("camera").is_dir() {
+        println!("skipped: {} has no cameras", full.display());
+        return;
+    }
+    let pandaset = PandaSet::open(&full, &OpenOptions::default()).unwrap();
+    assert_eq!(pandaset.images().len(), 60);
+    // What a scan measured 5 to 40 m ahead, the front camera sees in its image.
+    let scan = pandaset.read(0).unwrap();
+    let image = pandaset
+        .images()
+        .iter()
+        .find(|image| image.name == "front_camera/36.jpg")
+        .unwrap();
+    let ahead = scan.points.iter().zip(scan.points_in_world().unwrap());
+    let ahead = ahead.filter(|(p, _)| p.y.abs() < 0.3 * p.x && p.z.abs() < 0.1 * p.x && (5.0..40.0).contains(&p.x));
+    let (mut seen, mut all) = (0, 0);
+    for (_, in_world) in ahead {
+        let p = image.pose.unwrap().inverse().transform_point(in_world);
+        let (u, v) = (
+            f64::from(image.camera.fx) * p.x / p.z + f64::from(image.camera.cx),
+            f64::from(image.camera.fy) * p.y / p.z + f64::from(image.camera.cy),
+        );
+        all += 1;
+        seen += usize::from(p.z > 0.0 && (0.0..1920.0).contains(&u) && (0.0..1080.0).contains(&v));
+    }
+    assert!(all > 1000 && seen as f64 > 0.95 * all as f64, "{seen} of {all}");
+}
+
 #[test]
 fn without_times_all_returns_are_placed_from_one_pose() {
     let small = Small::new();
@@ -273,8 +397,8 @@ fn without_times_all_returns_are_placed_from_one_pose() {
     let pandaset = small.open().unwrap();
     assert_eq!(pandaset.notes()[1], format!("timestamps.json is missing: {still}"));
     let scan = pandaset.read(0).unwrap();
-    assert!(scan.times.is_none() && scan.motion.is_none() && scan.timestamp_secs.is_none());
-    let point_in_world = scan.pose.transform_point(scan.points[3].as_dvec3());
+    assert!(scan.times.is_none() && scan.motion.is_empty() && scan.time_ns.is_none());
+    let point_in_world = scan.pose.unwrap().transform_point(scan.points[3].as_dvec3());
     assert!(point_in_world.distance(DVec3::new(1.5, 6.75, -1.5)) < 1e-6);
 
     let small = Small::new();
@@ -284,7 +408,7 @@ fn without_times_all_returns_are_placed_from_one_pose() {
     small.write("timestamps.json", "[1557539960]");
     let pandaset = small.open().unwrap();
     assert_eq!(pandaset.notes(), [format!("there is only one pose: {still}")]);
-    assert!(pandaset.read(0).unwrap().motion.is_none());
+    assert!(pandaset.read(0).unwrap().motion.is_empty());
 }
 
 #[test]
@@ -292,10 +416,10 @@ fn the_first_frame_moves_towards_the_second() {
     let small = Small::new();
     small.write("00.pkl", Small::pickle());
     let pandaset = small.open().unwrap();
-    let motion = |index| pandaset.read(index).unwrap().motion.unwrap();
+    let motion = |index| pandaset.read(index).unwrap().motion[0];
     assert!((motion(0).secs - 0.1).abs() < 1e-6 && (motion(1).secs + 0.1).abs() < 1e-6);
     for (from, to) in [(0, 1), (1, 0)] {
-        let off = motion(from).pose.inverse() * pandaset.scans()[to].pose;
+        let off = motion(from).pose.inverse() * pandaset.scans()[to].pose.unwrap();
         assert!(off.translation.length() < 1e-9 && off.rotation.to_scaled_axis().length() < 1e-9);
     }
 }
@@ -314,9 +438,9 @@ fn other_poses_move_whole_sweeps() {
         PandaSet::open(&sample(), &options),
     );
     let (ours, theirs) = (ours.unwrap().read(0).unwrap(), theirs.unwrap().read(0).unwrap());
-    assert_eq!(theirs.pose.translation, DVec3::new(5.0, 6.0, 7.0));
+    assert_eq!(theirs.pose.unwrap().translation, DVec3::new(5.0, 6.0, 7.0));
     assert_eq!((&ours.points, &ours.times), (&theirs.points, &theirs.times));
-    let step = |scan: &Scan| (scan.pose.inverse() * scan.motion.unwrap().pose).translation;
+    let step = |scan: &Scan| (scan.pose.unwrap().inverse() * scan.motion[0].pose).translation;
     assert!(step(&ours).distance(step(&theirs)) < 1e-9 && step(&ours).length() > 0.3);
 
     std::fs::write(&path, "1 0 0 5 0 1 0 6 0 0 1 7\n".repeat(2)).unwrap();

@@ -22,21 +22,29 @@ fn shift(x: f64) -> Pose {
     }
 }
 
+/// Poses at these seconds and places.
+fn timed(poses: &[(f64, f64)]) -> Trajectory {
+    let poses = poses.iter().map(|&(secs, x)| (ns(secs), shift(x)));
+    Trajectory::new(poses.collect()).unwrap()
+}
+
+fn ns(secs: f64) -> i64 {
+    (secs * 1e9).round() as i64
+}
+
 fn placed(poses: &Poses, names: &[&str], secs: Option<Vec<f64>>) -> Result<Vec<(f64, Option<f64>)>, String> {
-    let placed = place(Path::new("poses.txt"), poses, &scans(names), secs).map_err(|e| e.to_string())?;
+    let times_ns = secs.map(|secs| secs.into_iter().map(ns).collect());
+    let placed = place(Path::new("poses.txt"), poses, &scans(names), times_ns).map_err(|e| e.to_string())?;
     Ok(placed
         .into_iter()
-        .map(|(pose, secs)| (pose.translation.x, secs))
+        .map(|(pose, time_ns)| (pose.translation.x, time_ns.map(|ns| secs_between(0, ns))))
         .collect())
 }
 
 #[test]
 fn both_notations_are_told_apart() {
     assert_eq!(poses(&IDENTITY.repeat(2)), Ok(Poses::Listed(vec![Pose::IDENTITY; 2])));
-    let timed = Poses::Timed(Trajectory {
-        secs: vec![0.5, 1.5],
-        poses: vec![shift(7.0), shift(8.0)],
-    });
+    let timed = Poses::Timed(timed(&[(0.5, 7.0), (1.5, 8.0)]));
     let text = "\u{feff}# secs x y z qx qy qz qw\r\n\r\n0.5 7 0 0 0 0 0 1\r\n1.5, 8, 0, 0, 0, 0, 0, 1";
     assert_eq!(poses(text), Ok(timed));
 }
@@ -114,11 +122,7 @@ fn listed_poses_go_by_order_or_by_number() {
 
 #[test]
 fn timed_poses_are_interpolated_within_the_gap() {
-    let trajectory = Trajectory {
-        secs: vec![0.0, 0.2, 0.3, 2.0],
-        poses: [0.0, 2.0, 3.0, 4.0].map(shift).to_vec(),
-    };
-    let timed = Poses::Timed(trajectory);
+    let timed = Poses::Timed(timed(&[(0.0, 0.0), (0.2, 2.0), (0.3, 3.0), (2.0, 4.0)]));
     let at = |secs: f64| placed(&timed, &["a.pcd"], Some(vec![secs])).map(|p| p[0].0);
     let near = |secs, x: f64| at(secs).is_ok_and(|got| (got - x).abs() < 1e-9);
     assert!(near(0.1, 1.0) && near(0.25, 2.5) && near(0.3, 3.0) && near(2.0, 4.0) && near(0.300_01, 3.0));

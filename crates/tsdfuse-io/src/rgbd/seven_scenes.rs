@@ -5,11 +5,12 @@ use std::path::Path;
 use tsdfuse::Pose;
 use tsdfuse::sensor::Pinhole;
 
+use super::camera;
 use super::image::ImageSize;
-use super::{Image, Layout, beside_or_above, camera, placed, with_pose};
-use crate::dataset::OpenOptions;
+use super::layout::{Image, Layout, beside_or_above, placed, with_pose, without_poses};
 use crate::error::{Error, Result};
-use crate::{files, text};
+use crate::source::OpenOptions;
+use crate::{files, present, text};
 
 /// Millimetres.
 const METRES_PER_UNIT: f32 = 1e-3;
@@ -28,6 +29,7 @@ pub(super) fn open(root: &Path, images: Vec<Image>, options: &OpenOptions) -> Re
     let mut notes = Vec::new();
     let frames = match &options.poses {
         Some(path) => placed(path, images, None, &mut notes)?,
+        None if none_has_a_pose(root, &images)? => without_poses(images, None, &mut notes),
         None => {
             let poses = images.iter().map(|image| {
                 let lost = "its matrix holds numbers that are not finite, so the camera's tracking was lost";
@@ -46,16 +48,24 @@ pub(super) fn open(root: &Path, images: Vec<Image>, options: &OpenOptions) -> Re
     })
 }
 
+/// Whether no image has a file with its pose.
+fn none_has_a_pose(root: &Path, images: &[Image]) -> Result<bool> {
+    for image in images {
+        if present::file(&root.join(format!("{}.pose.txt", image.stem)))? {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
 /// `world_from_optical` of an image; `None` where tracking was lost.
 fn pose(root: &Path, image: &Image) -> Result<Option<Pose>> {
     let path = root.join(format!("{}.pose.txt", image.stem));
-    match path.is_file() {
-        true => parse_pose(&path, &files::read(&path)?),
-        false => {
-            let reason = format!("has no pose: there is no {}.pose.txt beside it", image.stem);
-            Err(Error::dataset(&image.file.path, reason))
-        }
+    if present::file(&path)? {
+        return parse_pose(&path, &files::read(&path)?);
     }
+    let reason = format!("has no pose: there is no {}.pose.txt beside it", image.stem);
+    Err(Error::dataset(&image.file.path, reason))
 }
 
 /// Parses a `.pose.txt`, the 4×4 matrix `world_from_optical`; `None` where a number in it is not finite, which is how
@@ -74,10 +84,10 @@ pub(crate) fn parse_pose(path: &Path, bytes: &[u8]) -> Result<Option<Pose>> {
     }
     let Some((matrix, [0.0, 0.0, 0.0, 1.0])) = rows.split_first_chunk::<12>() else {
         let lost = rows.len() == 16 && rows.iter().any(|v| !v.is_finite());
-        return match lost {
-            true => Ok(None),
-            false => Err(Error::format(path, "is not a 4x4 matrix that ends in 0 0 0 1")),
-        };
+        if lost {
+            return Ok(None);
+        }
+        return Err(Error::format(path, "is not a 4x4 matrix that ends in 0 0 0 1"));
     };
     if matrix.iter().any(|v| !v.is_finite()) {
         return Ok(None);
@@ -87,7 +97,7 @@ pub(crate) fn parse_pose(path: &Path, bytes: &[u8]) -> Result<Option<Pose>> {
 }
 
 fn usual_camera(root: &Path, size: &ImageSize, notes: &mut Vec<String>) -> Result<Pinhole> {
-    if let Some(path) = beside_or_above(root, "camera-intrinsics.txt") {
+    if let Some(path) = beside_or_above(root, "camera-intrinsics.txt")? {
         return camera::parse_matrix(&path, &files::read(&path)?, size);
     }
     let missing = "no camera-intrinsics.txt or camera.toml";

@@ -9,7 +9,7 @@ use tsdfuse::sensor::{DepthImage, Pinhole};
 use tsdfuse::{Pose, Scan};
 
 use super::OPTICAL_FROM_SENSOR;
-use crate::{Dataset, OpenOptions, open, open_with};
+use crate::{Log, OpenOptions, open, open_with};
 
 mod hostile;
 
@@ -92,7 +92,7 @@ impl Folder {
         folder
     }
 
-    fn open(&self) -> Dataset {
+    fn open(&self) -> Log {
         open(self.path()).unwrap()
     }
 
@@ -102,7 +102,7 @@ impl Folder {
 
     /// The one line of error, met when the folder is opened or when all of it is read.
     fn refused(&self) -> String {
-        let read = open(self.path()).and_then(|d| d.into_iter().collect::<crate::Result<Vec<_>>>());
+        let read = open(self.path()).and_then(|log| log.into_iter().collect::<crate::Result<Vec<_>>>());
         let message = read.unwrap_err().to_string();
         assert_eq!(message.lines().count(), 1, "{message}");
         message.replace(self.path().to_str().unwrap(), "DIR")
@@ -130,9 +130,9 @@ fn the_frames_of_camera_and_sensor_are_turned_rightly() {
 fn seven_scenes_are_read() {
     let folder = Folder::seven_scenes();
     let dataset = folder.open();
-    assert_eq!((dataset.format(), dataset.len()), ("7-Scenes", 2));
+    assert_eq!((dataset.format(), dataset.len()), ("7-Scenes", Some(2)));
     assert_eq!(dataset.notes(), [""; 0]);
-    assert_eq!(dataset.min_range_m(), Some(0.1));
+    assert_eq!(dataset.sensors()[0].min_range_m, Some(0.1));
     let camera = Pinhole {
         width: 4,
         height: 3,
@@ -141,12 +141,9 @@ fn seven_scenes_are_read() {
         cx: 1.5,
         cy: 1.0,
     };
-    assert_eq!(dataset.camera(), Some(camera));
+    assert_eq!(dataset.sensors()[0].camera, Some(camera));
     let scan = dataset.read(1).unwrap();
-    assert_eq!(
-        (scan.name.as_str(), scan.timestamp_secs),
-        ("frame-000005.depth.png", None)
-    );
+    assert_eq!((scan.name.as_str(), scan.time_ns), ("frame-000005.depth.png", None));
     assert_eq!(scan.camera, Some(camera));
     assert_eq!((scan.dropped.no_return, scan.dropped.total()), (4, 4));
     let seen = [
@@ -161,7 +158,7 @@ fn seven_scenes_are_read() {
     ];
     assert_eq!(scan.points.len(), seen.len());
     for (point, (u, v, depth)) in scan.points.iter().zip(seen) {
-        let in_world = scan.pose.transform_point(point.as_dvec3());
+        let in_world = scan.pose.unwrap().transform_point(point.as_dvec3());
         let expected = DVec3::new(1.0, 2.0, 3.0) + optical(u, v, depth);
         assert!(in_world.distance(expected) < 1e-5, "{in_world} {expected}");
     }
@@ -180,7 +177,7 @@ fn the_camera_of_7_scenes_is_assumed_only_for_images_of_its_size() {
         .put("frame-000000.depth.png", &image)
         .put("frame-000005.depth.png", &image);
     let dataset = folder.open();
-    let camera = dataset.camera().unwrap();
+    let camera = dataset.sensors()[0].camera.unwrap();
     assert_eq!(
         (camera.fx, camera.fy, camera.cx, camera.cy),
         (585.0, 585.0, 320.0, 240.0)
@@ -199,27 +196,30 @@ fn the_camera_may_be_told_in_the_folder_above() {
     for name in ["frame-000000.depth.png", "frame-000000.pose.txt"] {
         fs::rename(folder.path().join(name), sequence.join(name)).unwrap();
     }
-    assert_eq!(open(&sequence).unwrap().camera().map(|c| c.fx), Some(4.0));
+    assert_eq!(open(&sequence).unwrap().sensors()[0].camera.map(|c| c.fx), Some(4.0));
     folder.put("camera.toml", CAMERA.replace("fx = 4", "fx = 4.5"));
-    assert_eq!(open(&sequence).unwrap().camera().map(|c| c.fx), Some(4.5));
+    assert_eq!(open(&sequence).unwrap().sensors()[0].camera.map(|c| c.fx), Some(4.5));
 }
 
 #[test]
 fn tum_is_read_with_poses_at_the_times_of_the_images() {
     let folder = Folder::tum();
     let dataset = folder.open();
-    assert_eq!((dataset.format(), dataset.len()), ("TUM RGB-D", 3));
+    assert_eq!((dataset.format(), dataset.len()), ("TUM RGB-D", Some(3)));
     assert_eq!(dataset.notes(), [""; 0]);
     for (scan, secs) in dataset.scans().iter().zip([10.0, 10.1, 10.2]) {
         assert_eq!(
-            (scan.name.as_str(), scan.timestamp_secs),
-            (format!("{secs:.6}.png").as_str(), Some(secs))
+            (scan.name.as_str(), scan.time_ns),
+            (format!("{secs:.6}.png").as_str(), Some((secs * 1e9_f64).round() as i64))
         );
-        assert!(scan.pose.translation.distance(DVec3::Z * secs) < 1e-9, "{scan:?}");
+        assert!(
+            scan.pose.unwrap().translation.distance(DVec3::Z * secs) < 1e-9,
+            "{scan:?}"
+        );
     }
     let scan = dataset.read(2).unwrap();
     assert_eq!((scan.points.len(), scan.dropped.total()), (12, 0));
-    let in_world = scan.pose.transform_point(scan.points[11].as_dvec3());
+    let in_world = scan.pose.unwrap().transform_point(scan.points[11].as_dvec3());
     assert!(
         in_world.distance(DVec3::Z * 10.2 + optical(3.0, 2.0, 1.0)) < 1e-6,
         "{in_world}"
@@ -227,8 +227,11 @@ fn tum_is_read_with_poses_at_the_times_of_the_images() {
 
     // The names tell the times as well.
     folder.remove("depth.txt");
-    let by_names: Vec<_> = folder.open().scans().iter().map(|s| s.timestamp_secs).collect();
-    assert_eq!(by_names, [Some(10.0), Some(10.1), Some(10.2)]);
+    let by_names: Vec<_> = folder.open().scans().iter().map(|s| s.time_ns).collect();
+    assert_eq!(
+        by_names,
+        [Some(10_000_000_000), Some(10_100_000_000), Some(10_200_000_000)]
+    );
 }
 
 #[test]
@@ -244,7 +247,7 @@ fn the_kinects_of_tum_are_known_by_the_folders_name() {
         parent.put(&format!("{name}/depth/10.0.png"), image);
         parent.put(&format!("{name}/groundtruth.txt"), "10.0 0 0 0 0 0 0 1");
         let dataset = open(parent.path().join(name)).unwrap();
-        assert_eq!(dataset.camera().map(|c| c.fx), Some(fx), "{name}");
+        assert_eq!(dataset.sensors()[0].camera.map(|c| c.fx), Some(fx), "{name}");
         assert_eq!(dataset.notes().len(), notes, "{name}: {:?}", dataset.notes());
         assert!(
             dataset
@@ -261,8 +264,8 @@ fn frames_without_pose_are_left_out_and_counted() {
     folder.put("groundtruth.txt", "10.05 0 0 0 0 0 0 1\n10.15 0 0 0 0 0 0 1\n");
     let dataset = folder.open();
     assert_eq!(
-        dataset.scans().iter().map(|s| s.timestamp_secs).collect::<Vec<_>>(),
-        [Some(10.1)]
+        dataset.scans().iter().map(|s| s.time_ns).collect::<Vec<_>>(),
+        [Some(10_100_000_000)]
     );
     assert_eq!(
         dataset.notes(),
@@ -278,7 +281,7 @@ fn frames_without_pose_are_left_out_and_counted() {
     let dataset = folder.open();
     assert_eq!(
         (dataset.len(), dataset.read(0).unwrap().name.as_str()),
-        (1, "frame-000005.depth.png")
+        (Some(1), "frame-000005.depth.png")
     );
     assert_eq!(
         dataset.notes(),
@@ -296,6 +299,24 @@ fn frames_without_pose_are_left_out_and_counted() {
 }
 
 #[test]
+fn frames_without_any_poses_are_read_all_the_same() {
+    let (tum, scenes) = (Folder::tum(), Folder::seven_scenes());
+    tum.remove("groundtruth.txt");
+    scenes.remove("frame-000000.pose.txt").remove("frame-000005.pose.txt");
+    for (folder, frames, timed) in [(&tum, 3, true), (&scenes, 2, false)] {
+        let log = folder.open();
+        assert_eq!(log.notes(), ["there are no poses: where the camera was is not known"]);
+        assert_eq!(log.len(), Some(frames));
+        assert!(
+            log.scans()
+                .iter()
+                .all(|scan| scan.pose.is_none() && scan.time_ns.is_some() == timed)
+        );
+        assert!(log.read(0).unwrap().pose.is_none() && !log.read(0).unwrap().points.is_empty());
+    }
+}
+
+#[test]
 fn poses_can_be_given() {
     let folder = Folder::seven_scenes();
     let rows = "1 0 0 7 0 1 0 0 0 0 1 0\n1 0 0 8 0 1 0 0 0 0 1 0\n";
@@ -305,10 +326,10 @@ fn poses_can_be_given() {
         ..Default::default()
     };
     let dataset = open_with(folder.path(), &options).unwrap();
-    let x: Vec<_> = dataset.scans().iter().map(|s| s.pose.translation.x).collect();
+    let x: Vec<_> = dataset.scans().iter().map(|s| s.pose.unwrap().translation.x).collect();
     assert_eq!(x, [7.0, 8.0]);
     // They are the camera's: its z axis is ours.
-    assert!((dataset.scans()[0].pose.rotation * DVec3::X).distance(DVec3::Z) < 1e-12);
+    assert!((dataset.scans()[0].pose.unwrap().rotation * DVec3::X).distance(DVec3::Z) < 1e-12);
 }
 
 #[test]
@@ -326,7 +347,7 @@ fn masks_leave_pixels_out() {
     );
     assert_eq!((count(0), count(2)), ((8, 4), (8, 4)));
     let in_last_row = folder.read(0).points[7];
-    assert_eq!(folder.open().camera().unwrap().pixel(in_last_row), Some(11));
+    assert_eq!(folder.open().sensors()[0].camera.unwrap().pixel(in_last_row), Some(11));
     let column: Vec<u8> = (0..12).map(|i| if i % 4 == 0 { 0 } else { 1 + i }).collect();
     folder.put("mask/10.000000.png", mask((4, 3), BitDepth::Eight, &column));
     assert_eq!((count(0), count(2)), ((6, 6), (8, 4)));
@@ -336,7 +357,7 @@ fn masks_leave_pixels_out() {
     assert_eq!((count(1), count(2)), ((12, 0), (9, 3)));
     // Nor is a mask a depth image.
     folder.remove("depth.txt");
-    assert_eq!(folder.open().len(), 3);
+    assert_eq!(folder.open().len(), Some(3));
 }
 
 #[test]
@@ -413,9 +434,9 @@ proptest! {
         prop_assert_eq!(scan.points.len(), measured);
         prop_assert_eq!(scan.dropped.masked, shown.iter().filter(|&&s| !s).count() as u64);
         prop_assert_eq!(scan.dropped.total() as usize, pixels - measured);
-        let forward = scan.pose.rotation * DVec3::X;
+        let forward = scan.pose.unwrap().rotation * DVec3::X;
         prop_assert!(forward.distance(rotation * DVec3::Z) < 1e-9);
-        prop_assert!(scan.pose.translation.distance(shift.into()) < 1e-9);
+        prop_assert!(scan.pose.unwrap().translation.distance(shift.into()) < 1e-9);
     }
 }
 
@@ -435,10 +456,10 @@ fn median_difference_m(a: &Scan, b: &Scan, shift: DVec3) -> f32 {
     let camera = b.camera.unwrap();
     let mut image = DepthImage::default();
     image.render(&camera, &b.points, |p| p);
-    let b_from_a = b.pose.inverse()
+    let b_from_a = b.pose.unwrap().inverse()
         * Pose {
-            translation: a.pose.translation + shift,
-            ..a.pose
+            translation: a.pose.unwrap().translation + shift,
+            ..a.pose.unwrap()
         };
     let seen = a.points.iter().step_by(7).filter_map(|point| {
         let point = b_from_a.transform_point(point.as_dvec3()).as_vec3();
@@ -455,7 +476,7 @@ fn median_difference_m(a: &Scan, b: &Scan, shift: DVec3) -> f32 {
 fn the_real_frames_agree_with_each_other() {
     let Some(path) = real() else { return };
     let dataset = open(path).unwrap();
-    assert_eq!((dataset.format(), dataset.len()), ("7-Scenes", 100));
+    assert_eq!((dataset.format(), dataset.len()), ("7-Scenes", Some(100)));
     assert_eq!(dataset.notes(), [""; 0]);
     assert!(dataset.scans().is_sorted_by(|a, b| a.name < b.name));
     for (i, j) in [(0, 10), (45, 50), (99, 90)] {

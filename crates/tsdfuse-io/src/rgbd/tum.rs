@@ -3,13 +3,15 @@
 use std::path::{Component, Path};
 
 use tsdfuse::sensor::Pinhole;
+use tsdfuse::trajectory::ns_after;
 
+use super::camera;
 use super::image::ImageSize;
-use super::{Image, Layout, camera, placed};
-use crate::dataset::OpenOptions;
+use super::layout::{Image, Layout, placed, without_poses};
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
-use crate::{poses, text};
+use crate::source::OpenOptions;
+use crate::{poses, present, text};
 
 /// 5000 is one metre.
 const METRES_PER_UNIT: f32 = 1.0 / 5000.0;
@@ -32,23 +34,26 @@ pub(super) fn images(root: &Path) -> Result<Vec<Image>> {
 
 pub(super) fn open(root: &Path, images: Vec<Image>, options: &OpenOptions) -> Result<Layout> {
     let list = root.join("depth.txt");
-    let (images, secs): (_, Option<Vec<_>>) = if list.is_file() {
-        let (images, secs) = parse_list(&list, &files::read(&list)?)?.into_iter().unzip();
-        (images, Some(secs))
+    let (images, times_ns): (_, Option<Vec<_>>) = if present::file(&list)? {
+        let (images, times_ns) = parse_list(&list, &files::read(&list)?)?.into_iter().unzip();
+        (images, Some(times_ns))
     } else {
-        let secs = images.iter().map(|image| image.file.secs()).collect();
-        (images, secs)
+        let time = |image: &Image| image.file.secs().map(|secs| ns_after(0, secs));
+        let times_ns = images.iter().map(time).collect();
+        (images, times_ns)
     };
     let found = options
         .poses
         .clone()
         .map_or_else(|| poses::find(root), |path| Ok(Some(path)))?;
-    let missing = || Error::dataset(root, "holds depth images but no groundtruth.txt or other pose file");
     let mut notes = Vec::new();
     Ok(Layout {
         format: "TUM RGB-D",
         metres_per_unit: METRES_PER_UNIT,
-        frames: placed(&found.ok_or_else(missing)?, images, secs, &mut notes)?,
+        frames: match found {
+            Some(path) => placed(&path, images, times_ns, &mut notes)?,
+            None => without_poses(images, times_ns, &mut notes),
+        },
         usual_camera,
         notes,
     })
@@ -58,20 +63,17 @@ pub(super) fn open(root: &Path, images: Vec<Image>, options: &OpenOptions) -> Re
 ///
 /// # Errors
 /// Names the file, the line and the reason.
-pub(crate) fn parse_list(path: &Path, bytes: &[u8]) -> Result<Vec<(Image, f64)>> {
+pub(crate) fn parse_list(path: &Path, bytes: &[u8]) -> Result<Vec<(Image, i64)>> {
     let root = path.parent().unwrap_or(Path::new(""));
-    let mut images: Vec<(Image, f64)> = Vec::new();
+    let mut images: Vec<(Image, i64)> = Vec::new();
     for line in text::lines(path, bytes)? {
         let (secs, file) = line
             .text
             .split_once(char::is_whitespace)
             .ok_or_else(|| line.error("a time and the name of a file are wanted"))?;
-        let (count, file) = (secs.parse::<f64>().unwrap_or(f64::NAN), Path::new(file.trim()));
-        if !count.is_finite() {
-            return Err(line.error(format!("{secs:?} is not a time in seconds")));
-        }
-        let secs = files::epoch_secs(count).unwrap_or(count);
-        if images.last().is_some_and(|(_, last)| *last >= secs) {
+        let not_a_time = || line.error(format!("{secs:?} is not a time in seconds"));
+        let (time_ns, file) = (text::nanoseconds(secs).ok_or_else(not_a_time)?, Path::new(file.trim()));
+        if images.last().is_some_and(|(_, last)| *last >= time_ns) {
             return Err(line.error(format!("the time {secs} is not later than that of the image before")));
         }
         let inside = file.components().all(|part| matches!(part, Component::Normal(_)));
@@ -81,17 +83,17 @@ pub(crate) fn parse_list(path: &Path, bytes: &[u8]) -> Result<Vec<(Image, f64)>>
             name,
         };
         match Image::new(image, ".png").filter(|_| inside) {
-            Some(image) => images.push((image, secs)),
+            Some(image) => images.push((image, time_ns)),
             None => {
                 let file = file.display();
                 return Err(line.error(format!("{file} is not the name of a PNG file in this folder")));
             }
         }
     }
-    match images.is_empty() {
-        true => Err(Error::format(path, "lists no images")),
-        false => Ok(images),
+    if images.is_empty() {
+        return Err(Error::format(path, "lists no images"));
     }
+    Ok(images)
 }
 
 fn usual_camera(root: &Path, size: &ImageSize, notes: &mut Vec<String>) -> Result<Pinhole> {

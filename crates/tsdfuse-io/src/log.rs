@@ -1,0 +1,267 @@
+//! A log: the scans of one or several sensors, and what was recorded with them, whatever the files look like.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use tsdfuse::{Scan, Trajectory};
+
+use crate::error::{Error, Result};
+use crate::pandaset::PandaSet;
+use crate::read_ahead::{Live, ReadAhead, Scans};
+use crate::selection::Selection;
+use crate::source::{ImageRef, ImuSample, OpenOptions, ScanRef, Sensor, Source, Stream, read_checked};
+use crate::suggested::Suggested;
+use crate::together::Together;
+
+/// A format: how it is recognised, and how a log of it is opened.
+struct Format {
+    recognises: fn(&Path) -> bool,
+    open: fn(&Path, &OpenOptions) -> Result<Log>,
+}
+
+/// All formats, the more particular ones first. A new format is one file and one entry here.
+const FORMATS: &[Format] = &[
+    Format {
+        recognises: PandaSet::recognises,
+        open: |path, options| PandaSet::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::kitti_raw::recognises,
+        open: |path, options| crate::kitti_raw::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::kitti::recognises,
+        open: |path, options| crate::kitti::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::plain::recognises,
+        open: |path, options| crate::plain::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::rgbd::recognises,
+        open: |path, options| crate::rgbd::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::clouds::recognises,
+        open: |path, options| crate::clouds::open(path, options).map(Log::new),
+    },
+];
+
+/// Opens the log at `path`; its format is recognised from what lies there.
+///
+/// # Errors
+/// One line that names the folder, and the file and line where one is wrong.
+///
+/// # Examples
+/// ```no_run
+/// for scan in &tsdfuse_io::open("kitti/sequences/00")? {
+///     println!("{} points", scan?.points.len());
+/// }
+/// # Ok::<(), tsdfuse_io::Error>(())
+/// ```
+pub fn open(path: impl AsRef<Path>) -> Result<Log> {
+    open_with(path, &OpenOptions::default())
+}
+
+/// Opens the log at `path` with poses, sensors or extrinsics of one's choice.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
+    let path = path.as_ref();
+    let is_folder = std::fs::metadata(path).map_err(Error::io(path))?.is_dir();
+    match FORMATS.iter().find(|format| (format.recognises)(path)) {
+        Some(format) => (format.open)(path, options),
+        None if !is_folder => Err(Error::dataset(path, "is a file; a data set is a folder")),
+        None => Err(Error::dataset(
+            path,
+            "holds no scans that are read here: no lidar/*.pkl.gz (PandaSet), velodyne/*.bin (KITTI, plain), \
+             velodyne_points/ (KITTI raw), *.depth.png (7-Scenes), depth/*.png (TUM RGB-D), *.pcd or *.ply",
+        )),
+    }
+}
+
+/// An opened log. Cheap to clone; scans are read when asked for.
+///
+/// It is made of a [`Source`], whose scans can be read in any order, or of a [`Stream`], whose scans come once:
+///
+/// | | source | stream |
+/// |---|---|---|
+/// | [`len`](Self::len) | `Some` | `None` |
+/// | [`scans`](Self::scans), [`images`](Self::images), [`imu`](Self::imu), [`trajectory`](Self::trajectory) | all of it | empty |
+/// | [`read`](Self::read), [`read_indices`](Self::read_indices) | any scan | an error |
+/// | [`read_ahead`](Self::read_ahead), iteration | again and again | once |
+#[derive(Clone)]
+pub struct Log(Input);
+
+#[derive(Clone)]
+enum Input {
+    Source(Arc<dyn Source>),
+    Stream(Arc<Live>),
+}
+
+impl Log {
+    /// A log of a source.
+    pub fn new(source: impl Source + 'static) -> Self {
+        Self(Input::Source(Arc::new(source)))
+    }
+
+    /// A log of a stream.
+    pub fn of_stream(stream: impl Stream + 'static) -> Self {
+        Self(Input::Stream(Arc::new(Live::new(stream))))
+    }
+
+    /// Several logs as one, their scans in order of time: of several sensors with their own extrinsics, or of several drives in
+    /// one world. Trajectory and notes are those of all; the trajectory is that of the first log that has one.
+    ///
+    /// # Errors
+    /// Names the log that is a stream, or whose scans have no times.
+    pub fn together(logs: Vec<Self>) -> Result<Self> {
+        let sources = logs.into_iter().map(|log| match log.0 {
+            Input::Source(source) => Ok(source),
+            Input::Stream(live) => Err(Error::dataset(
+                &live.format,
+                "is a stream: it cannot be put together with others",
+            )),
+        });
+        Ok(Self::new(Together::new(sources.collect::<Result<_>>()?)?))
+    }
+
+    fn source(&self) -> Option<&dyn Source> {
+        match &self.0 {
+            Input::Source(source) => Some(source.as_ref()),
+            Input::Stream(_) => None,
+        }
+    }
+
+    /// The format's name for people.
+    pub fn format(&self) -> &str {
+        match &self.0 {
+            Input::Source(source) => source.format(),
+            Input::Stream(live) => &live.format,
+        }
+    }
+
+    /// How many scans there are; `None` where nobody knows: in a stream.
+    pub fn len(&self) -> Option<usize> {
+        self.source().map(|source| source.scans().len())
+    }
+
+    /// Whether it is known that there are no scans.
+    pub fn is_empty(&self) -> bool {
+        self.len() == Some(0)
+    }
+
+    /// The scans, in order of time where times are known; empty for a stream.
+    pub fn scans(&self) -> &[ScanRef] {
+        self.source().map_or(&[], Source::scans)
+    }
+
+    /// The sensors whose scans are read.
+    pub fn sensors(&self) -> &[Sensor] {
+        match &self.0 {
+            Input::Source(source) => source.sensors(),
+            Input::Stream(live) => &live.sensors,
+        }
+    }
+
+    /// `world_from_body` over time, where the log has such poses.
+    pub fn trajectory(&self) -> Option<&Trajectory> {
+        self.source().and_then(Source::trajectory)
+    }
+
+    /// All samples of the inertial measurement unit, in order of time; empty where there is none.
+    ///
+    /// # Errors
+    /// Names the file and the reason.
+    pub fn imu(&self) -> Result<Vec<ImuSample>> {
+        self.source().map_or(Ok(Vec::new()), Source::imu)
+    }
+
+    /// The images of all cameras, ordered by camera and time.
+    pub fn images(&self) -> &[ImageRef] {
+        self.source().map_or(&[], Source::images)
+    }
+
+    /// The encoded bytes (JPEG, PNG, …) of an image.
+    ///
+    /// # Errors
+    /// Names the file and the reason; also for an `index` beyond the last image.
+    pub fn read_image(&self, index: usize) -> Result<Vec<u8>> {
+        self.source().ok_or_else(|| self.once())?.read_image(index)
+    }
+
+    /// What is missing or odd, one sentence each.
+    pub fn notes(&self) -> &[String] {
+        match &self.0 {
+            Input::Source(source) => source.notes(),
+            Input::Stream(live) => &live.notes,
+        }
+    }
+
+    /// What fusing this log wants where nothing is set: method, voxels and range limits.
+    pub fn suggested(&self) -> Suggested {
+        Suggested::of(self.sensors())
+    }
+
+    /// Reads scan `index`; invalid returns are still in it, as measured.
+    ///
+    /// # Errors
+    /// Names the file and the reason; also for an `index` beyond the last scan, and for a stream.
+    pub fn read(&self, index: usize) -> Result<Scan> {
+        read_checked(self.source().ok_or_else(|| self.once())?, index)
+    }
+
+    /// Reads the selected scans in order, ahead of the caller (see [`ReadAhead`]). Of a stream this can be had once; held-out
+    /// scans of a stream are gone then.
+    pub fn read_ahead(&self, selection: &Selection) -> ReadAhead {
+        match &self.0 {
+            Input::Source(source) => ReadAhead::of_source(source.clone(), selection.indices(source.scans().len())),
+            Input::Stream(live) => ReadAhead::of_stream(live, selection.clone()),
+        }
+    }
+
+    /// Reads the scans of the given numbers in that order, ahead of the caller (see [`ReadAhead`]). For a stream, all that
+    /// comes is an error for each.
+    pub fn read_indices(&self, indices: Vec<usize>) -> ReadAhead {
+        match &self.0 {
+            Input::Source(source) => ReadAhead::of_source(source.clone(), indices),
+            Input::Stream(live) => ReadAhead::refused(live, indices),
+        }
+    }
+
+    fn once(&self) -> Error {
+        Error::dataset(self.format(), "is a stream: it is read once, from its begin")
+    }
+}
+
+impl IntoIterator for &Log {
+    type Item = Result<Scan>;
+    type IntoIter = Scans;
+
+    /// All scans in order, without invalid returns: those that the suggested range limits leave out (see [`Log::suggested`]).
+    fn into_iter(self) -> Scans {
+        Scans::new(self.read_ahead(&Selection::default()), self.suggested().range)
+    }
+}
+
+impl IntoIterator for Log {
+    type Item = Result<Scan>;
+    type IntoIter = Scans;
+
+    fn into_iter(self) -> Scans {
+        (&self).into_iter()
+    }
+}
+
+impl std::fmt::Debug for Log {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Log")
+            .field("format", &self.format())
+            .field("scans", &self.len())
+            .finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,198 @@
+//! What a log is made of, whatever its files look like: sensors, scans, poses, IMU samples, images.
+//!
+//! A format implements [`Source`] if its scans can be read in any order and any number of times, and [`Stream`] if they come
+//! once, one after the other. [`Log`](crate::Log) is what users of either see.
+
+use std::path::PathBuf;
+
+use tsdfuse::glam::{DQuat, DVec3};
+use tsdfuse::sensor::Pinhole;
+use tsdfuse::{Pose, Scan, SensorModel, Trajectory};
+
+use crate::error::{Error, Result};
+
+/// How to open a log; the default asks for nothing in particular.
+#[derive(Clone, Debug, Default)]
+pub struct OpenOptions {
+    /// Poses to use instead of those in the log (TUM or KITTI text).
+    pub poses: Option<PathBuf>,
+    /// Which sensors of the log to read, by name; empty: the format's default, usually all or the main one. Where a log has one
+    /// sensor that it does not name, this is the name of the sensor's model.
+    pub sensors: Vec<String>,
+    /// `body_from_sensor` of the only sensor: the poses are those of a body (vehicle, robot) that carries it. Replaces what the
+    /// log says.
+    pub extrinsics: Option<Pose>,
+}
+
+/// A sensor of a log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sensor {
+    /// Unique within the log: a topic, a folder, or a model's name.
+    pub name: String,
+    /// The beams of a rotating LiDAR, where the log states them.
+    pub model: Option<SensorModel>,
+    /// The camera, where the scans are depth images; then there is no `model`.
+    pub camera: Option<Pinhole>,
+    /// Returns nearer than this, metres, are the vehicle that carries the sensor, where that was measured, or nearer than
+    /// such sensors measure.
+    pub min_range_m: Option<f32>,
+    /// Where the sensor sits on the body whose poses the log's trajectory has; the identity if those are the sensor's own.
+    pub body_from_sensor: Pose,
+}
+
+impl Sensor {
+    /// A sensor of which nothing is known but its name.
+    pub fn new(name: impl Into<String>) -> Self {
+        Self {
+            name: name.into(),
+            model: None,
+            camera: None,
+            min_range_m: None,
+            body_from_sensor: Pose::IDENTITY,
+        }
+    }
+}
+
+/// One scan of a log, before it is read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ScanRef {
+    /// What messages call it: the file's name, usually.
+    pub name: String,
+    /// The sensor that measured it: an index into the log's sensors.
+    pub sensor: usize,
+    /// Nanoseconds since the log's epoch (1970 where the log gives absolute time).
+    pub time_ns: Option<i64>,
+    /// `world_from_sensor`, where it is known.
+    pub pose: Option<Pose>,
+}
+
+/// What an inertial measurement unit measured, in the log's body frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuSample {
+    /// Nanoseconds since the log's epoch.
+    pub time_ns: i64,
+    /// Rates of turn about x, y, z, rad/s.
+    pub angular_velocity: DVec3,
+    /// Specific force along x, y, z, m/s²: at rest, gravity's 9.8 m/s² upwards.
+    pub acceleration: DVec3,
+    /// `world_from_imu`, where the unit estimates it.
+    pub orientation: Option<DQuat>,
+}
+
+/// An image of a camera in the log. It is not decoded here: [`Source::read_image`] gives the encoded bytes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImageRef {
+    /// What messages call it: camera and file.
+    pub name: String,
+    /// Nanoseconds since the log's epoch.
+    pub time_ns: Option<i64>,
+    /// The camera's intrinsics.
+    pub camera: Pinhole,
+    /// OpenCV's k1, k2, p1, p2, k3, where the image is distorted and that is known.
+    pub distortion: Option<[f64; 5]>,
+    /// `world_from_camera`, of the optical frame: x right, y down, z forward.
+    pub pose: Option<Pose>,
+    /// The file, where the image is one.
+    pub path: Option<PathBuf>,
+}
+
+/// A log whose scans can be read in any order, any number of times.
+pub trait Source: Send + Sync {
+    /// The format's name for people: `PandaSet`, `KITTI odometry`, …
+    fn format(&self) -> &str;
+
+    /// The sensors whose scans are read.
+    fn sensors(&self) -> &[Sensor];
+
+    /// The scans, in order of time where times are known.
+    fn scans(&self) -> &[ScanRef];
+
+    /// Reads scan `index` of [`Source::scans`]. Invalid returns are still in it, as measured.
+    ///
+    /// # Errors
+    /// Names the file and the reason.
+    fn read(&self, index: usize) -> Result<Scan>;
+
+    /// `world_from_body` over time, where the log has such poses.
+    fn trajectory(&self) -> Option<&Trajectory> {
+        None
+    }
+
+    /// All samples of the inertial measurement unit, in order of time; empty where there is none.
+    ///
+    /// # Errors
+    /// Names the file and the reason.
+    fn imu(&self) -> Result<Vec<ImuSample>> {
+        Ok(Vec::new())
+    }
+
+    /// The images of all cameras, ordered by camera and time.
+    fn images(&self) -> &[ImageRef] {
+        &[]
+    }
+
+    /// The encoded bytes (JPEG, PNG, …) of image `index` of [`Source::images`].
+    ///
+    /// # Errors
+    /// Names the file and the reason; also for an `index` beyond the last image.
+    fn read_image(&self, index: usize) -> Result<Vec<u8>> {
+        let images = self.images();
+        let image = images.get(index).ok_or_else(|| {
+            let reason = format!("no image {index}: there are {} images", images.len());
+            Error::dataset(self.format(), reason)
+        })?;
+        let path = image.path.as_ref();
+        let path = path.ok_or_else(|| Error::dataset(&image.name, "is no file of its own"))?;
+        std::fs::read(path).map_err(Error::io(path))
+    }
+
+    /// What is missing or odd, one sentence each: frames without a scan, scans without a pose, …
+    fn notes(&self) -> &[String] {
+        &[]
+    }
+}
+
+/// A log that has no length and is read once, from its begin: a pipe, a network port, a recording that still grows.
+pub trait Stream: Send {
+    /// The format's name for people.
+    fn format(&self) -> &str;
+
+    /// The sensors whose scans come.
+    fn sensors(&self) -> &[Sensor];
+
+    /// The next scan; waits for it. `None` at the end.
+    fn next(&mut self) -> Option<StreamedScan>;
+
+    /// What is missing or odd, one sentence each.
+    fn notes(&self) -> &[String] {
+        &[]
+    }
+}
+
+/// A scan of a [`Stream`].
+#[derive(Debug)]
+pub struct StreamedScan {
+    /// The sensor that measured it: an index into [`Stream::sensors`].
+    pub sensor: usize,
+    /// The scan, or why it cannot be used; the stream goes on after it.
+    pub scan: Result<Scan>,
+}
+
+/// Reads a scan and checks that it does not contradict itself.
+///
+/// # Errors
+/// As [`Source::read`]; also for an `index` beyond the last scan.
+pub(crate) fn read_checked(source: &dyn Source, index: usize) -> Result<Scan> {
+    let scans = source.scans();
+    let reference = scans.get(index).ok_or_else(|| {
+        let reason = format!("no scan {index}: there are {} scans", scans.len());
+        Error::dataset(source.format(), reason)
+    })?;
+    checked(source.read(index)?, &reference.name)
+}
+
+/// The scan, if its columns fit together.
+pub(crate) fn checked(scan: Scan, name: &str) -> Result<Scan> {
+    scan.check().map_err(|e| Error::dataset(name, e.to_string()))?;
+    Ok(scan)
+}
