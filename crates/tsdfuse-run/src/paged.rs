@@ -190,9 +190,7 @@ impl Backend for Paged {
 /// A block and those around it, this far.
 fn around(BlockIndex(block): BlockIndex, far: i32) -> impl Iterator<Item = BlockIndex> {
     let edge = move || -far..=far;
-    edge().flat_map(move |z| {
-        edge().flat_map(move |y| edge().map(move |x| BlockIndex(block + IVec3::new(x, y, z))))
-    })
+    edge().flat_map(move |z| edge().flat_map(move |y| edge().map(move |x| BlockIndex(block + IVec3::new(x, y, z)))))
 }
 
 /// How a temporary store's name ends.

@@ -621,7 +621,7 @@ fn maps_of_halves_merge_to_the_map_of_all_unless_a_method_looks_at_what_came_bef
             scans
                 .iter()
                 .for_each(|scan| drop(integrator.integrate(&mut map, scan).unwrap()));
-            integrator.finish(&mut map);
+            integrator.finish(&mut map).unwrap();
             map
         };
         let (whole, mut half) = (fused(&scans), fused(&scans[..2]));

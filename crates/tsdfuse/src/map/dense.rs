@@ -46,7 +46,7 @@ impl VoxelMap {
             let room = all.try_reserve_exact(voxels as usize);
             room.map_err(|_| MapError::Dense { voxels })?;
             all.resize(voxels as usize, value);
-            Ok(all)
+            Ok::<_, MapError>(all)
         };
         let shape = [size.z, size.y, size.x].map(|n| n as usize);
         let mut dense = Dense {
