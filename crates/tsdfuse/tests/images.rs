@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use common::{Voxels, assert_agrees, scan};
 use tsdfuse::{
     Integrator, MapConfig, Pose, Scan, SensorModel, VoxelMap,
-    fuse::{Caminal, CaminalConfig, Cylindrical, Depth, Kuehner},
+    fuse::{Caminal, CaminalConfig, Cylindrical, Depth, Kuehner, KuehnerConfig},
     glam::{DVec3, IVec3, Vec3},
     index::{BlockIndex, voxel_at},
     scan::PoseAt,
@@ -308,6 +308,11 @@ fn cylindrical_is_what_its_formulas_say() {
     }
 }
 
+/// The method for [`lidar`].
+fn kuehner(max_gap_deg: f32) -> Kuehner {
+    Kuehner::new(KuehnerConfig { max_gap_deg }, Some(lidar()))
+}
+
 /// The least squares of the distances of a height on the axis to all beams, by trying.
 fn literal_center_of_projection(sweep: &Scan) -> f64 {
     let beams = lidar().elevations_deg;
@@ -330,21 +335,26 @@ fn literal_center_of_projection(sweep: &Scan) -> f64 {
 }
 
 /// Every voxel of the room's surroundings, looked up in the filled image of each sweep.
-fn literal_kuehner(sweeps: &[Scan]) -> Voxels {
+fn literal_kuehner(sweeps: &[Scan], max_gap_deg: f64) -> Voxels {
     let MapConfig {
         voxel_size_m: k,
         truncation_m: mu,
         ..
     } = config();
-    let tangents: Vec<f64> = lidar()
-        .elevations_deg
-        .iter()
-        .map(|e| f64::from(*e).to_radians().tan())
-        .collect();
+    let elevations = lidar().elevations_deg;
     let mut sums = Voxels::new();
     for sweep in sweeps {
         let rings = sweep.rings.as_ref().unwrap();
-        let half = |a: usize, b: usize| 0.5 * (tangents[a] - tangents[b]) / (std::f64::consts::TAU / COLUMNS as f64);
+        let half = |above: usize, below: usize| {
+            let (above, below) = (f64::from(elevations[above]), f64::from(elevations[below]));
+            let share = if above - below > max_gap_deg {
+                max_gap_deg / (above - below)
+            } else {
+                1.0
+            };
+            let gap = above.to_radians().tan() - below.to_radians().tan();
+            share * 0.5 * gap / (std::f64::consts::TAU / COLUMNS as f64)
+        };
         let margin = half(1, 0).max(half(13, 12)).ceil() as usize;
         let pixels = Pixels::new(margin, phase(sweep), literal_center_of_projection(sweep));
         let trajectory = sweep.sweep();
@@ -407,12 +417,48 @@ fn literal_kuehner(sweeps: &[Scan]) -> Voxels {
 
 #[test]
 fn kuehner_is_what_its_description_says() {
-    for moving in [false, true] {
+    for (moving, max_gap_deg) in [(false, 180.0), (true, 180.0), (false, 6.0), (true, 0.0)] {
         let sweeps = [sweep(0, moving), sweep(2, moving)];
-        let map = fuse(&mut Kuehner::new(Some(lidar())), &sweeps);
+        let map = fuse(&mut kuehner(max_gap_deg), &sweeps);
         assert!(map.observed_voxel_count() > 20_000);
-        assert_agrees(&map, &literal_kuehner(&sweeps), 0.01, "kuehner");
+        let literal = literal_kuehner(&sweeps, max_gap_deg.into());
+        assert_agrees(&map, &literal, 0.01, "kuehner");
     }
+}
+
+#[test]
+fn kuehner_fills_no_wider_gaps_than_it_is_told() {
+    let sweeps = [sweep(0, false)];
+    let observed = |max_gap_deg: f32| fuse(&mut kuehner(max_gap_deg), &sweeps).observed_voxel_count();
+    // Beams are 2 to 8 degrees apart, columns 2.4.
+    let [none, some, most, all] = [0.0, 4.0, 7.0, 8.0].map(observed);
+    assert!(none < some && some < most && most < all, "{none} {some} {most} {all}");
+    assert_eq!(all, observed(180.0));
+}
+
+#[test]
+fn kuehner_refuses_an_image_that_would_fill_memory() {
+    let told = |shift: DVec3| {
+        let mut sweep = sweep(0, true);
+        sweep
+            .motion
+            .iter_mut()
+            .for_each(|motion| motion.pose.translation += shift);
+        let mut map = VoxelMap::new(config()).unwrap();
+        let done = Kuehner::new(KuehnerConfig::default(), Some(lidar())).integrate(&mut map, &sweep);
+        assert_eq!(map.block_count() == 0, done.is_err());
+        done.err().map(|e| e.to_string())
+    };
+    assert_eq!(told(DVec3::X), None);
+    let told = told(DVec3::X * 1e5).unwrap();
+    assert!(told.contains("its motion goes too far within the sweep"), "{told}");
+    let wrong = |max_gap_deg| KuehnerConfig { max_gap_deg }.validate().err().map(|e| e.to_string());
+    assert_eq!([0.0, 180.0].map(wrong), [None, None]);
+    assert!(
+        [-1.0, 181.0, f32::NAN]
+            .iter()
+            .all(|&gap| wrong(gap).unwrap().contains("kuehner.max_gap_deg is"))
+    );
 }
 
 /// Four cameras of 90° that see all of [`lidar`]'s beams, with pixels as wide as its columns.
@@ -546,7 +592,7 @@ fn threads_change_no_bit_of_any_image_method() {
                 fuse(&mut Depth::default(), &frames),
                 fuse(&mut Caminal::new(CaminalConfig::default(), Some(lidar())), &sweeps),
                 fuse(&mut Cylindrical::new(Some(lidar())), &sweeps),
-                fuse(&mut Kuehner::new(Some(lidar())), &sweeps),
+                fuse(&mut kuehner(180.0), &sweeps),
             ]
         })
     };
@@ -614,7 +660,7 @@ fn lost_rings_are_recovered() {
             .map(|rings| rings.iter().map(|ring| 13 - ring).collect()),
         ..with.clone()
     };
-    let fuse = |scan: &Scan| fuse(&mut Kuehner::new(Some(lidar())), std::slice::from_ref(scan));
+    let fuse = |scan: &Scan| fuse(&mut kuehner(180.0), std::slice::from_ref(scan));
     assert!(fuse(&with) == fuse(&without));
     assert!(fuse(&with) != fuse(&shuffled), "rings are of no consequence");
 }
@@ -634,7 +680,7 @@ fn hostile_returns_are_skipped_and_counted() {
     sweep.points.extend(bad);
     sweep.rings.as_mut().unwrap().extend([0, 1, 2, 3, 500, u16::MAX]);
     for method in [
-        &mut Kuehner::new(Some(lidar())) as &mut dyn Integrator,
+        &mut kuehner(180.0) as &mut dyn Integrator,
         &mut Cylindrical::new(Some(lidar())),
         &mut Caminal::new(CaminalConfig::default(), Some(lidar())),
     ] {

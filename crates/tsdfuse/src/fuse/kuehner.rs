@@ -1,21 +1,22 @@
-//! Cylindrical projection as Kühner and Kümmerle have it (2020; thesis 4.2).
+//! Cylindrical projection as published by Kühner and Kümmerle (2020; thesis 4.2).
 //!
-//! A scan becomes a cylindrical depth image of square pixels about the **centre of projection**: the point of the sensor's axis
-//! from which the squared distances to all beams are least. Empty pixels take the depth of the nearest filled pixel above or
-//! below them in their column, as far as half the gap between two beams reaches, so that the image is dense.
+//! A scan becomes a cylindrical depth image with square pixels. Its **centre of projection** is the point on the sensor's axis
+//! with the smallest sum of squared distances to all rays. An empty pixel takes the depth of the nearest measured pixel in its
+//! column, up to half the gap between neighbouring beams away; gaps wider than `max_gap_deg` are filled only that far.
 //!
-//! Which voxels: **all** whose centre lies in the frustum of a filled pixel and within μ of its depth, so that none is missed
-//! far away, where rays are more than a voxel apart. What distance: pixel's range − voxel's range, from the centre of
-//! projection, over μ. What weight: min(1, 1/range), falling with distance.
+//! Which voxels: **all** voxels whose centre lies in the frustum of a filled pixel and within μ of its range. No voxel is missed
+//! at long range, where rays are more than a voxel apart. What distance: (range of the pixel − range of the voxel)/μ, measured
+//! from the centre of projection. What weight: min(1, 1/range).
 //!
-//! Strong far away: the ground between two rings is closed. Weak at edges, where a pixel stands for half a beam's gap, and at
-//! grazing incidence, where such steps of constant range stand on the ground like stairs.
+//! Strong at long range: the ground between two rings is closed. Weak at edges, which move by up to half of what is filled, and
+//! at grazing incidence: the range of a ring is constant over what it fills, so that the ground becomes a staircase.
 
 use std::time::Instant;
 
 use fearless_simd::{Simd, dispatch, f32x8, prelude::*};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::{
     FuseError, Integration, Integrator, Skipped,
@@ -27,16 +28,49 @@ use super::{
     placed::Placed,
 };
 use crate::{
-    index::{Anchor, BLOCK_EDGE, BlockIndex},
+    index::{Anchor, BLOCK_EDGE, BlockIndex, Grid},
     map::{MapConfig, VoxelMap},
     reach::Reach,
     scan::Scan,
     sensor::{CylindricalPoint, CylindricalProjection as Cylindrical, PART, SensorModel, approx::sin_cos},
 };
 
+/// Options of [`Kuehner`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct KuehnerConfig {
+    /// Gaps between neighbouring beams are filled up to this width, half of it from each side. Wider gaps keep a hole in the
+    /// middle. 0 fills nothing, 180 fills all gaps.
+    pub max_gap_deg: f32,
+}
+
+impl Default for KuehnerConfig {
+    fn default() -> Self {
+        Self { max_gap_deg: 1.0 }
+    }
+}
+
+impl KuehnerConfig {
+    /// Checks the number, which may come from a file.
+    ///
+    /// # Errors
+    /// [`FuseError::Config`] names the field and what is possible.
+    pub fn validate(&self) -> Result<(), FuseError> {
+        // Also false for NaN.
+        if (0.0..=180.0).contains(&self.max_gap_deg) {
+            return Ok(());
+        }
+        Err(FuseError::Config(format!(
+            "kuehner.max_gap_deg is {}; 0 to 180 are possible",
+            self.max_gap_deg
+        )))
+    }
+}
+
 /// The integrator of dense cylindrical depth images.
 #[derive(Debug, Default)]
 pub struct Kuehner {
+    config: KuehnerConfig,
     beams: Beams,
     placed: Placed,
     seen: Vec<CylindricalPoint>,
@@ -47,47 +81,55 @@ pub struct Kuehner {
 }
 
 impl Kuehner {
-    /// Without a sensor's model, the first scan decides which one it is.
-    pub fn new(sensor: Option<SensorModel>) -> Self {
+    /// With the given options. Without a sensor's model, the first scan decides which one it is.
+    pub fn new(config: KuehnerConfig, sensor: Option<SensorModel>) -> Self {
         Self {
+            config,
             beams: Beams::new(sensor),
             ..Self::default()
         }
+    }
+
+    /// The image of a scan with its measured pixels only.
+    pub(super) fn project(&mut self, grid: Grid, scan: &Scan) -> Result<(Anchor, Image), FuseError> {
+        scan.check()?;
+        let sensor = self.beams.of(scan)?;
+        let rings = rings_of(scan, sensor);
+        let buffers = (std::mem::take(&mut self.depths_m), std::mem::take(&mut self.rings));
+        let (placed, max_gap_deg) = (&mut self.placed, self.config.max_gap_deg);
+        let (anchor, mut image) = rayon::join(
+            || placed.place(grid, scan),
+            || Image::new(scan, &rings, sensor, max_gap_deg, buffers),
+        );
+        let anchor = anchor?;
+        let sensor_from_world = world_axes(scan)?.transpose();
+        let seen = &mut self.seen;
+        image
+            .projection
+            .project_all(&self.placed.points, |p| sensor_from_world * p, seen);
+        image.render(seen, &rings);
+        Ok((anchor, image))
     }
 }
 
 impl Integrator for Kuehner {
     fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError> {
         let start = Instant::now();
-        let (grid, placed) = (map.grid(), &mut self.placed);
         if scan.points.is_empty() {
-            placed.place(grid, scan)?;
+            self.placed.place(map.grid(), scan)?;
             return Ok(Integration::default());
         }
-        scan.check()?;
-        let sensor = self.beams.of(scan)?;
-        let rings = rings_of(scan, sensor);
-        let world_from_sensor = world_axes(scan)?;
-        let buffers = (std::mem::take(&mut self.depths_m), std::mem::take(&mut self.rings));
-        let (anchor, mut image) = rayon::join(
-            || placed.place(grid, scan),
-            || Image::new(scan, &rings, sensor, buffers),
-        );
-        let anchor = anchor?;
-        let sensor_from_world = world_from_sensor.transpose();
-        let seen = &mut self.seen;
-        image
-            .projection
-            .project_all(&self.placed.points, |p| sensor_from_world * p, seen);
-        image.render(seen, &rings);
+        let (anchor, mut image) = self.project(map.grid(), scan)?;
         image.fill();
+        let config = *map.config();
+        image.check_size(scan, &config)?;
+        let world_from_sensor = world_axes(scan)?;
         let prepare_secs = start.elapsed().as_secs_f64();
 
-        let config = *map.config();
         let centers = Centers {
             anchor,
             origin: Vec3::ZERO,
-            rotation: sensor_from_world,
+            rotation: world_from_sensor.transpose(),
             voxel_size_m: config.voxel_size_m as f32,
         };
         let level = self.gather.level();
@@ -121,10 +163,10 @@ impl Integrator for Kuehner {
     }
 }
 
-/// The height on the sensor's axis (metres) that minimises the squared distances to the lines of all beams.
+/// The height on the sensor's axis (metres) with the smallest sum of squared distances to all rays.
 ///
-/// A beam of elevation e that measured a point at height z and distance ρ from the axis crosses the axis at z − ρ·tan e; its
-/// line passes the height c at a distance of |z − ρ·tan e − c|·cos e.
+/// The ray of a beam with elevation e to a point at height z, ρ away from the axis, crosses the axis at z − ρ·tan e. Its distance
+/// from the height c on the axis is |z − ρ·tan e − c|·cos e.
 fn center_of_projection(points: &[Vec3], rings: &[u16], sensor: &SensorModel) -> f32 {
     let of_beam = |degrees: &f32| {
         let (sin, cos) = sin_cos(f64::from(*degrees).to_radians());
@@ -147,7 +189,7 @@ fn center_of_projection(points: &[Vec3], rings: &[u16], sensor: &SensorModel) ->
             }
             (heights, weights)
         });
-    // Added in order, so that the result does not depend on who computed what.
+    // Added in order, so that the result does not depend on the threads.
     let sums: Vec<(f64, f64)> = sums.collect();
     let (heights, weights) = sums
         .iter()
@@ -155,31 +197,41 @@ fn center_of_projection(points: &[Vec3], rings: &[u16], sensor: &SensorModel) ->
     if weights > 0.0 { (heights / weights) as f32 } else { 0.0 }
 }
 
-/// A cylindrical depth image: ρ per pixel, 0 where there is none, column by column.
+/// A box about a frustum may hold this many voxels, summed over all pixels of an image. A scan of a street stays two orders of
+/// magnitude below it.
+const MAX_VOXELS: f64 = 2e9;
+
+/// A cylindrical depth image: ρ per pixel, 0 for an empty one, column by column.
 #[derive(Debug)]
-struct Image {
-    projection: Cylindrical,
+pub(super) struct Image {
+    pub(super) projection: Cylindrical,
     depths_m: Vec<f32>,
     /// The beam that measured a pixel.
     rings: Vec<u16>,
-    /// How many rows half the gap to the beam above and below each beam is.
+    /// How many rows each beam fills above and below itself.
     reach: Vec<[f32; 2]>,
     skipped: Skipped,
 }
 
 impl Image {
-    /// Reuses two `buffers`.
-    fn new(scan: &Scan, rings: &[u16], sensor: &SensorModel, buffers: (Vec<f32>, Vec<u16>)) -> Self {
+    /// An empty image for a scan; it reuses two buffers.
+    fn new(
+        scan: &Scan,
+        rings: &[u16],
+        sensor: &SensorModel,
+        max_gap_deg: f32,
+        (mut depths_m, mut of_ring): (Vec<f32>, Vec<u16>),
+    ) -> Self {
         let center_z_m = center_of_projection(&scan.points, rings, sensor);
-        let tangents: Vec<f32> = sensor.elevations_deg.iter().map(|e| e.to_radians().tan()).collect();
         let pitch = std::f32::consts::TAU / sensor.columns as f32;
-        // The outermost beams have on their outer side the gap of their inner side.
-        let halves: Vec<f32> = tangents
-            .windows(2)
-            .map(|pair| 0.5 * (pair[1] - pair[0]) / pitch)
-            .collect();
+        let half_gap = |pair: &[f32]| {
+            let tangent = pair[1].to_radians().tan() - pair[0].to_radians().tan();
+            0.5 * tangent / pitch * (max_gap_deg / (pair[1] - pair[0])).min(1.0)
+        };
+        let halves: Vec<f32> = sensor.elevations_deg.windows(2).map(half_gap).collect();
+        // The outermost beams reach as far outwards as inwards.
         let half = |k: usize| halves.get(k).or(halves.last()).copied().unwrap_or(0.0);
-        let reach: Vec<[f32; 2]> = (0..tangents.len())
+        let reach: Vec<[f32; 2]> = (0..sensor.rings())
             .map(|ring| [half(ring), half(ring.saturating_sub(1))])
             .collect();
         let margin = reach
@@ -190,7 +242,6 @@ impl Image {
         let phase = Cylindrical::phase_of(&scan.points, sensor.columns);
         let projection = Cylindrical::new(sensor, center_z_m, phase, margin);
         let pixels = projection.rows() * projection.columns();
-        let (mut depths_m, mut of_ring) = buffers;
         depths_m.clear();
         depths_m.resize(pixels, 0.0);
         of_ring.resize(pixels, 0); // only those with a depth are looked at
@@ -203,7 +254,7 @@ impl Image {
         }
     }
 
-    /// Puts in where returns are seen; the nearest of a pixel stays.
+    /// Enters the returns. The nearest return of a pixel stays.
     fn render(&mut self, seen: &[CylindricalPoint], rings: &[u16]) {
         for (&seen, &ring) in seen.iter().zip(rings) {
             let pixel = self
@@ -223,9 +274,8 @@ impl Image {
         }
     }
 
-    /// Gives empty pixels the depth of the nearest measured one of their column, the upper one of two, within half the gap
-    /// of the beams.
-    fn fill(&mut self) {
+    /// Gives each empty pixel the depth of the nearest measured pixel of its column that reaches so far, the upper one of two.
+    pub(super) fn fill(&mut self) {
         let rows = self.projection.rows();
         let columns = self.depths_m.par_chunks_mut(rows).zip(self.rings.par_chunks(rows));
         let reach = &self.reach;
@@ -249,6 +299,33 @@ impl Image {
         );
     }
 
+    /// The depth of a pixel, metres; 0 if it is empty.
+    pub(super) fn depth_m(&self, row: usize, column: usize) -> f32 {
+        self.depths_m[column * self.projection.rows() + row]
+    }
+
+    /// Refuses an image whose frusta are so large that they would fill memory: far beyond the ranges of a LiDAR, a pixel is
+    /// many metres wide.
+    fn check_size(&self, scan: &Scan, config: &MapConfig) -> Result<(), FuseError> {
+        let (pitch, band) = (f64::from(self.projection.pitch()), 2.0 * config.truncation_m);
+        let frustum = |depth: &f32| {
+            let edge = f64::from(*depth) * pitch;
+            edge * edge * (edge + band)
+        };
+        let voxels = self.depths_m.iter().map(frustum).sum::<f64>() / config.voxel_size_m.powi(3);
+        if voxels <= MAX_VOXELS {
+            return Ok(());
+        }
+        let farthest_m = self.depths_m.iter().copied().fold(0.0, f32::max);
+        Err(FuseError::Image {
+            scan: scan.name.clone(),
+            reason: format!(
+                "its pixels, seen from the scan's pose up to {farthest_m:.0} m away, span {voxels:.1e} voxels, more than {MAX_VOXELS:e}: \
+                 its motion goes too far within the sweep, its ranges are too long, or voxels are too small"
+            ),
+        })
+    }
+
     /// Names the blocks that may hold voxels of a column's pixels.
     #[inline(always)]
     fn allocate(
@@ -266,7 +343,7 @@ impl Image {
         let depths = &self.depths_m[column * rows..(column + 1) * rows];
         let (mut next, mut named) = (0, None);
         while next < rows {
-            // Pixels of one depth, of at most the height of a block.
+            // A run of pixels of one depth, at most as high as a block.
             let (first, depth) = (next, depths[next]);
             let most = 1 + (block_m / (depth * self.projection.pitch())).min(rows as f32) as usize;
             let same = depths[first..].iter().take(most).take_while(|d| **d == depth);
@@ -274,7 +351,7 @@ impl Image {
             if depth == 0.0 {
                 continue;
             }
-            // Where a voxel's range differs by μ from the pixel's, its depth differs by no more.
+            // Depths differ by no more than ranges, so by no more than μ.
             let (nearest, farthest) = ((depth - truncation_m).max(0.0), depth + truncation_m);
             let (mut low, mut high) = (Vec3::MAX, Vec3::MIN);
             for corner in self.projection.corners(first, next - 1, column) {
@@ -282,7 +359,7 @@ impl Image {
                 low = low.min(corner * nearest).min(corner * farthest);
                 high = high.max(corner * nearest).max(corner * farthest);
             }
-            // A column's arc bulges beyond its corners by less than this.
+            // The arc of a column bulges less than this beyond its corners.
             let slack = Vec3::splat(depth * self.projection.pitch() * self.projection.pitch() + 1e-3 * truncation_m);
             let (Some(low), Some(high)) = (
                 anchor.locate(center + low - slack),

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Caminal, CaminalConfig, Cylindrical, Depth, FuseError, Integrator, Kuehner, Normals, Patch, PatchConfig, Raycast,
+    Caminal, CaminalConfig, Cylindrical, Depth, FuseError, Integrator, Kuehner, KuehnerConfig, Normals, Patch, PatchConfig, Raycast,
     RaycastConfig, Roldao, RoldaoConfig, Surfels,
 };
 use crate::{normals::NormalsConfig, sensor::SensorModel, surfel::SurfelConfig};
@@ -54,7 +54,7 @@ methods! {
     Normals "normals": |config, sensor| Normals::new(config.normals, sensor.cloned());
     Surfels "surfel": |config, sensor| Surfels::new(config.surfel, sensor);
     Cylindrical "cylindrical": |_, sensor| Cylindrical::new(sensor.cloned());
-    Kuehner "kuehner": |_, sensor| Kuehner::new(sensor.cloned());
+    Kuehner "kuehner": |config, sensor| Kuehner::new(config.kuehner, sensor.cloned());
     Depth "depth": |_, _| Depth::default();
     Caminal "caminal": |config, sensor| Caminal::new(config.caminal, sensor.cloned());
     Roldao "roldao": |config, _| Roldao::new(config.roldao);
@@ -72,6 +72,8 @@ pub struct FuseConfig {
     pub normals: NormalsConfig,
     /// Options of [`Surfels`].
     pub surfel: SurfelConfig,
+    /// Options of [`Kuehner`].
+    pub kuehner: KuehnerConfig,
     /// Options of [`Caminal`].
     pub caminal: CaminalConfig,
     /// Options of [`Roldao`].
@@ -89,6 +91,7 @@ impl FuseConfig {
         self.normals.validate().map_err(|e| FuseError::Config(e.to_string()))?;
         self.surfel.validate().map_err(|e| FuseError::Config(e.to_string()))?;
         self.patch.validate()?;
+        self.kuehner.validate()?;
         self.caminal.validate()?;
         self.roldao.validate()
     }

@@ -42,7 +42,7 @@ pub use depth::Depth;
 pub use engine::Skip;
 pub use gather::{Gather, Item, Items, Near, Updates};
 pub use integrator::{FuseError, Integration, Integrator, Skipped};
-pub use kuehner::Kuehner;
+pub use kuehner::{Kuehner, KuehnerConfig};
 pub use lines::{Line, Lines, Planes, Rule, Shape};
 pub use method::{FuseConfig, Method};
 pub use normals::Normals;
