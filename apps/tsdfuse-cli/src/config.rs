@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
-use tsdfuse::fuse::{CaminalConfig, FuseConfig, Method, PatchConfig, RaycastConfig, RoldaoConfig};
+use tsdfuse::fuse::{CaminalConfig, FuseConfig, KuehnerConfig, Method, PatchConfig, RaycastConfig, RoldaoConfig};
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
@@ -33,6 +33,8 @@ pub(crate) struct RunConfig {
     pub(crate) normals: NormalsConfig,
     /// Options of the method `surfel`.
     pub(crate) surfel: SurfelConfig,
+    /// Options of the method `kuehner`.
+    pub(crate) kuehner: KuehnerConfig,
     /// Options of the method `caminal`.
     pub(crate) caminal: CaminalConfig,
     /// Options of the method `roldao`.
@@ -50,6 +52,7 @@ impl RunConfig {
             raycast: self.raycast,
             normals: self.normals,
             surfel: self.surfel,
+            kuehner: self.kuehner,
             caminal: self.caminal,
             roldao: self.roldao,
             patch: self.patch,
