@@ -8,6 +8,10 @@ mod common;
 use std::collections::BTreeSet;
 
 use common::{Voxels, assert_agrees, observed, scan};
+use serde::{
+    Deserialize,
+    de::value::{Error, StrDeserializer},
+};
 use tsdfuse::{
     Integration, Integrator, MapConfig, Pose, Roldao, Scan, VoxelMap,
     fuse::{RoldaoConfig, RoldaoForm as Form},
@@ -15,7 +19,7 @@ use tsdfuse::{
     scan::PoseAt,
 };
 
-const FORMS: [Form; 2] = [Form::Scan, Form::Batch];
+const FORMS: [Form; 2] = [Form::Streaming, Form::Batch];
 
 /// Large voxels, so that few points fill them; lengths are whole in binary, so that shifts are exact.
 const MAP: MapConfig = MapConfig {
@@ -101,7 +105,7 @@ fn literal(scans: &[Scan], config: RoldaoConfig) -> Voxels {
         points.collect()
     };
     let groups: Vec<_> = match config.form {
-        Form::Scan => scans.iter().map(placed).collect(),
+        Form::Streaming => scans.iter().map(placed).collect(),
         Form::Batch => vec![scans.iter().flat_map(placed).collect()],
     };
     let reach = config.max_level as i32;
@@ -337,6 +341,17 @@ fn a_sensor_on_the_floor_sees_the_floor_from_above() {
             assert!((f * MAP.truncation_m - z).abs() < 0.01, "{form:?} {v:?}: {f}");
         }
     }
+}
+
+#[test]
+fn the_paper_form_is_the_default_and_the_old_name_of_the_other_is_read() {
+    assert_eq!(RoldaoConfig::default().form, Form::Batch);
+    let read = |name| Form::deserialize(StrDeserializer::<Error>::new(name)).ok();
+    let read = ["batch", "streaming", "scan", "stream"].map(read);
+    assert_eq!(
+        read,
+        [Some(Form::Batch), Some(Form::Streaming), Some(Form::Streaming), None]
+    );
 }
 
 #[test]

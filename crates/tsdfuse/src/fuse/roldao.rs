@@ -1,26 +1,28 @@
 //! Local planes in adaptive neighbourhoods (Roldão et al. 2019), thesis 4.3: every voxel takes its distance to the plane through
-//! the points about it.
+//! the points around it.
 //!
-//! Points are summed up in cells of the voxels' size, of which the voxels' centres are the corners (vertices v). Level k of a
-//! vertex is the (2k)³ cells about it; k* is the first of 1…k_max that speaks for the vertex:
+//! Points are summed up in cells of the voxel size, whose corners are the voxel centres (vertices v). Level k of a
+//! vertex is the (2k)³ cells around it; k* is the first level of 1…k_max that decides the vertex:
 //!
 //! | | |
 //! |---|---|
-//! | which voxels | N_min points or more in level k (4.4); their Gaussian in the plane has density ≥ τ at v's projection (4.6); within μ of the plane |
-//! | distance | n·(v − mean)/μ (4.7), n = e₃ of the points' covariance, turned to the sensor (4.5) |
-//! | weight | 1 a scan |
+//! | which voxels | at least N_min points in level k (4.4), whose Gaussian in the plane has density ≥ τ at the projection of v (4.6); within μ of the plane |
+//! | distance | n·(v − mean)/μ (4.7), where n is e₃ of the covariance of the points, facing the sensor (4.5) |
+//! | weight | 1 |
 //!
-//! `batch`, the paper's own use, sums up all scans before it looks for planes: the map is written by [`Integrator::finish`], the
-//! same bits however the points were split into scans. Until then a scan costs little time, and each occupied cell 64 bytes
-//! (a block of 8³ cells some 200 more).
+//! In the paper's form, [`RoldaoForm::Batch`], the points of all scans are summed up before planes are fitted. The map is written by
+//! [`Integrator::finish`], with the same bits however the points were split into scans. Until then, a scan costs little time, and
+//! each occupied cell 64 bytes (a block of 8³ cells some 200 more). It needs all points in memory, so it can neither be paged nor
+//! resumed. [`RoldaoForm::Streaming`] is a variant of ours: planes are fitted to each scan by itself, and the map averages their
+//! distances.
 //!
-//! Strong where points are dense: distances are point-to-plane, so grazing incidence does no harm, noise is averaged, and what
-//! lies between the scan lines is covered as far as the Gaussian reaches. Most of all in batch, where scan lines of many
-//! scans meet. Weak on single scans with rings far apart: points of one ring lie on a line, and what spreads them across it
-//! is the noise of ranges, so that their plane runs through the sensor, with any tilt and either side in front: ground and
-//! upper facades become litter. `min_spread_m` above the noise leaves such planes out, and then holes. Weak on thin parts and
-//! at edges: points of two surfaces make one plane. A return counts as fused once it is summed up, whether or not a plane comes
-//! of it.
+//! Strong where points are dense: distances are point-to-plane, so grazing incidence does no harm; noise is averaged; and gaps
+//! between the scan lines are covered as far as the Gaussian reaches. Weak on thin parts and at edges, where the points of two
+//! surfaces make one plane. The streaming form is also weak on single scans with rings far apart: the points of one ring lie on a
+//! line, and only the range noise spreads them across it. Their plane then contains the sensor, has any tilt, and faces either
+//! way, so that ground and upper facades become litter. `min_spread_m` above the noise leaves such planes out, which leaves holes.
+//!
+//! A return counts as fused once it is summed up, whether or not it ends up in a plane.
 
 mod adaptive;
 mod cells;
@@ -45,15 +47,17 @@ use crate::{
     scan::Scan,
 };
 
-/// What planes are fitted to.
+/// Which points planes are fitted to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RoldaoForm {
-    /// The points of one scan; the map averages the distances of all scans.
+    /// The points of all scans together, after the last scan ([`Integrator::finish`]): the paper's form.
     #[default]
-    Scan,
-    /// The points of all scans together, when the last one has come ([`Integrator::finish`]).
     Batch,
+    /// The points of one scan at a time; the map averages the distances of all scans. A variant of ours, which also goes by its
+    /// former name `scan`.
+    #[serde(alias = "scan")]
+    Streaming,
 }
 
 /// Options of [`Roldao`].
@@ -64,19 +68,19 @@ pub struct RoldaoConfig {
     pub form: RoldaoForm,
     /// N_min (4.4): fewer points in a neighbourhood make no plane. At least 3.
     pub min_points: u32,
-    /// k_max: the largest neighbourhood has 2·k_max cells along an edge. 1 to 8.
+    /// k_max: the largest neighbourhood is 2·k_max cells wide. 1 to 8.
     pub max_level: usize,
-    /// τ (4.6), per κ², κ being the edge of a voxel: so it fits voxels of any size. 0.03 at 5 cm is 12 per m². Points all over
-    /// level k have 0.48/k² in their middle, 0.21/k² at the middle of an edge and 0.09/k² at a corner.
+    /// τ (4.6), per κ² where κ is the voxel size, so that it fits voxels of any size. 0.03 at 5 cm is 12 per m². Points spread
+    /// evenly over level k have a density of 0.48/k² in the middle, 0.21/k² at the middle of an edge and 0.09/k² at a corner.
     pub min_density: f64,
-    /// Points whose second largest standard deviation is less than this span no plane: more than the noise of ranges leaves
-    /// out single scan lines, which have no normal of their own. 0: the paper's form.
+    /// Points whose second largest standard deviation is smaller than this span no plane. A value above the range noise leaves
+    /// out single scan lines, which have no normal of their own. 0 as in the paper.
     pub min_spread_m: f64,
 }
 
 impl Default for RoldaoConfig {
-    /// As few points and levels as a plane takes: the most surface within 5 cm, and the least error, on sweeps of 64 and 128
-    /// beams. A third level closes more and rounds edges.
+    /// Few points and few levels: they give the most surface within 5 cm and the smallest error on sweeps of 64 and 128 beams.
+    /// A third level closes more gaps and rounds edges.
     fn default() -> Self {
         Self {
             form: RoldaoForm::default(),
@@ -134,7 +138,7 @@ impl Roldao {
         }
     }
 
-    /// Updates the map with the planes through the points in the cells.
+    /// Updates the map with the planes fitted to the points in the cells.
     fn write(&mut self, map: &mut VoxelMap) -> Integration {
         let adaptive = Adaptive::new(
             (self.config.min_points, self.config.max_level),
@@ -170,13 +174,13 @@ impl Integrator for Roldao {
     fn integrate(&mut self, map: &mut VoxelMap, scan: &Scan) -> Result<Integration, FuseError> {
         let start = Instant::now();
         self.placed.place(map.grid(), scan)?;
-        if self.config.form == RoldaoForm::Scan {
+        if self.config.form == RoldaoForm::Streaming {
             self.cells.clear();
         }
         let fused_returns = self.cells.add(&self.placed, map.config().voxel_size_m);
         let prepare_secs = start.elapsed().as_secs_f64();
         let mut done = match self.config.form {
-            RoldaoForm::Scan => self.write(map),
+            RoldaoForm::Streaming => self.write(map),
             RoldaoForm::Batch => Integration::default(),
         };
         done.fused_returns = fused_returns;
@@ -187,11 +191,11 @@ impl Integrator for Roldao {
 
     fn finish(&mut self, map: &mut VoxelMap) -> Integration {
         match self.config.form {
-            RoldaoForm::Scan => Integration::default(),
+            RoldaoForm::Streaming => Integration::default(),
             RoldaoForm::Batch => {
                 let done = self.write(map);
                 self.cells = Cells::default();
-                // What the engine counts are blocks of cells; returns were counted as they came.
+                // The engine counts blocks of cells; returns were counted scan by scan.
                 Integration {
                     fused_returns: 0,
                     ..done

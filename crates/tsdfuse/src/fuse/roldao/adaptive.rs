@@ -1,4 +1,4 @@
-//! The vertices of one block: for each the smallest neighbourhood that speaks for it.
+//! The vertices of one block: the smallest neighbourhood that decides each of them.
 
 use std::{array, cell::RefCell};
 
@@ -17,7 +17,7 @@ use crate::{
 
 const EDGE: usize = BLOCK_EDGE as usize;
 
-/// Below this, in voxels, a spread is rounding: the points lie on a line.
+/// A spread below this, in voxels, is rounding: the points lie on a line.
 const LEAST_SPREAD: f32 = 0.01;
 
 /// The search for neighbourhoods.
@@ -29,7 +29,7 @@ pub(super) struct Adaptive {
     limits: Limits,
 }
 
-/// A vertex whose level in question holds enough points: its x, its row y + 8 z, and the rows of sums about it.
+/// A vertex with enough points in the current level: its x, its row y + 8 z, and the rows of sums around it.
 type Candidate = (u8, u8, Rows);
 
 thread_local! {
@@ -55,7 +55,7 @@ impl Adaptive {
         }
     }
 
-    /// Updates the voxels of `block` from the points in the blocks of cells about it.
+    /// Updates the voxels of `block` from the points in the blocks of cells around it.
     pub(super) fn update<'a>(
         &self,
         block: BlockIndex,
@@ -70,8 +70,8 @@ impl Adaptive {
 
     fn search(&self, around: &Around, sums: &mut Sums, queue: &mut Vec<Candidate>, updates: &mut Updates) {
         sums.count(around);
-        // A bit for each x, by rows: the vertices with enough points in the largest neighbourhood. The others have too few in
-        // any, and most blocks at a distance have none.
+        // One bit per x for each row: the vertices with enough points in the largest neighbourhood. The others have too few at
+        // every level. Most distant blocks have no such vertex.
         let crowded = |sums: &Sums, k: usize, row: usize| -> Option<(Rows, u8)> {
             let rows = sums.rows(k, row % EDGE, row / EDGE)?;
             Some((rows, sums.crowded(k, rows, self.min_points))) // (4.4)
@@ -103,7 +103,7 @@ impl Adaptive {
         }
     }
 
-    /// Tells for which candidates level `k` speaks: row, x, and the distance in voxels (4.7).
+    /// Calls `decided` for the candidates that level `k` decides: row, x, and the distance in voxels (4.7).
     fn decide(
         &self,
         around: &Around,
@@ -116,7 +116,7 @@ impl Adaptive {
         for vertices in candidates.chunks(LANES) {
             for (lane, &(x, row, rows)) in vertices.iter().enumerate() {
                 let (y, z) = (row % BLOCK_EDGE as u8, row / BLOCK_EDGE as u8);
-                // From the block's middle cell, half a voxel above the middle of its vertices.
+                // Relative to the block's middle cell, half a voxel above the middle of its vertices.
                 let vertex = DVec3::new(x.into(), y.into(), z.into()) - 3.5;
                 neighbourhoods.set(lane, &sums.moments(k, x.into(), rows), vertex);
             }

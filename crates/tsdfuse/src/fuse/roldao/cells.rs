@@ -13,13 +13,13 @@ use crate::{
 /// Positions within a cell are rounded to this fraction of its edge (0.1 mm at 5 cm).
 pub(super) const STEPS: f32 = 512.0;
 
-/// The most points in a cell; no sum can overflow. What comes after is left out.
+/// The most points in a cell, so that no sum can overflow. Further points are left out.
 const MAX_COUNT: u32 = (1 << 15) - 1;
 
-/// Pieces of a scan: enough to balance the load of many threads.
+/// Pieces of a scan, enough to balance the load of many threads.
 const LANES: usize = 32;
 
-/// The points in one cell: 40 bytes, and 24 for the way to their sensors.
+/// The points in one cell: 40 bytes, and 24 for the vectors to their sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Cell {
     pub(super) count: u32,
@@ -29,7 +29,7 @@ pub(super) struct Cell {
     pub(super) products: [i32; 6],
 }
 
-/// Σ (s − p) of the points in one cell, the way from each to its sensor, in steps.
+/// Σ (s − p) of the points in one cell: the vectors from the points to their sensor positions, in steps.
 pub(super) type Towards = [i64; 3];
 
 impl Cell {
@@ -52,16 +52,16 @@ impl Cell {
     }
 }
 
-/// The occupied ones among 8×8×8 cells.
+/// The occupied cells among 8×8×8.
 #[derive(Clone, Debug)]
 pub(super) struct CellBlock {
     /// A bit for each occupied cell: word z, bit x + 8 y.
     mask: [u64; 8],
     /// The occupied cells, in the order of their bits.
     cells: Vec<Cell>,
-    /// For each of these.
+    /// One for each of these cells.
     towards: Vec<Towards>,
-    /// Bounds of the ways from points to their sensor, in steps.
+    /// Bounds of the vectors from points to their sensor, in steps.
     views: [[i32; 3]; 2],
 }
 
@@ -102,13 +102,13 @@ impl CellBlock {
         }
     }
 
-    /// Bounds of the ways from points to their sensor, in steps.
+    /// Bounds of the vectors from points to their sensor, in steps.
     pub(super) fn views(&self) -> (DVec3, DVec3) {
         let [from, to] = self.views.map(|v| IVec3::from(v).as_dvec3());
         (from, to)
     }
 
-    /// Lowest and highest coordinates within the block that an occupied cell has.
+    /// The lowest and highest coordinates of occupied cells within the block.
     pub(super) fn bounds(&self) -> (IVec3, IVec3) {
         let (mut rows, mut planes) = (0, 0_u8);
         for (z, &word) in self.mask.iter().enumerate() {

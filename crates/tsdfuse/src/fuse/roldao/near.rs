@@ -1,4 +1,4 @@
-//! The cells about one block of vertices, summed up such that any cube of them is eight look-ups away.
+//! The cells around one block of vertices, as summed-area tables: the sum over any cube of cells takes eight look-ups.
 
 use std::ops::{Add, AddAssign};
 
@@ -10,7 +10,7 @@ use super::{
 };
 use crate::index::{BLOCK_EDGE, BlockIndex};
 
-/// The largest level there is room for: a neighbourhood then reaches one block far.
+/// The largest level that is supported: its neighbourhoods reach one block beyond their own.
 pub(super) const MAX_LEVEL: usize = 8;
 
 const EDGE: usize = BLOCK_EDGE as usize;
@@ -27,12 +27,12 @@ pub(super) struct Around<'a> {
     low: IVec3,
     high: IVec3,
     reach: usize,
-    /// Bounds of the ways from the points to their sensor.
+    /// Bounds of the vectors from the points to their sensor.
     views: (DVec3, DVec3),
 }
 
 impl<'a> Around<'a> {
-    /// Finds the cells about `block` in blocks of cells.
+    /// Finds the cells around `block` in blocks of cells.
     pub(super) fn new(
         block: BlockIndex,
         items: impl Iterator<Item = (BlockIndex, &'a CellBlock)>,
@@ -63,7 +63,7 @@ impl<'a> Around<'a> {
         found
     }
 
-    /// Whether a normal points to the sensor of all points (1), of none (−1), or it is not said (0).
+    /// Whether a normal faces the sensor for all points (1), for none (−1), or undecided (0).
     #[inline]
     pub(super) fn side(&self, normal: Vec3) -> i32 {
         let normal = normal.as_dvec3();
@@ -75,33 +75,33 @@ impl<'a> Around<'a> {
         }
     }
 
-    /// Whether they hold at least so many points.
+    /// Whether the cells hold at least this many points.
     pub(super) fn has(&self, points: u32) -> bool {
-        // Each occupied cell holds one at least.
+        // Each occupied cell holds at least one.
         let sum = || self.cells.iter().map(|c| u64::from(c.1.count)).sum::<u64>();
         self.cells.len() as u64 >= u64::from(points) || sum() >= u64::from(points)
     }
 }
 
-/// Where four rows of sums begin, see [`Sums::rows`].
+/// The starts of four rows of sums, see [`Sums::rows`].
 pub(super) type Rows = [usize; 4];
 
-/// Sums over boxes of cells: `table[x, y, z]` is the sum over all cells below x, y and z of the box that holds the occupied
-/// ones. Sums of whole numbers, so that differences are exact.
+/// Summed-area tables over cells: `table[x, y, z]` is the sum over all cells below x, y and z in the bounding box of the
+/// occupied ones. The sums are of whole numbers, so that differences are exact.
 #[derive(Debug, Default)]
 pub(super) struct Sums {
     size: [usize; 3],
     /// Per axis, level − 1 and vertex: where its cells begin and end in the table.
     ranges: [[[(usize, usize); EDGE]; MAX_LEVEL]; 3],
     counts: Vec<[i32; 1]>,
-    /// About the block's middle, in steps.
+    /// Relative to the middle of the block, in steps.
     moments: Vec<Moments>,
-    /// Σ (s − p), in steps; empty until it is asked for.
+    /// Σ (s − p), in steps; empty until it is needed.
     towards: Vec<[f64; 3]>,
 }
 
 impl Sums {
-    /// Counts the points about a block.
+    /// Counts the points around a block.
     pub(super) fn count(&mut self, around: &Around) {
         let &Around { low, high, reach, .. } = around;
         let extent = high - low + 1;
@@ -125,8 +125,8 @@ impl Sums {
         self.towards.clear();
     }
 
-    /// Where the four rows along x begin that enclose the cells of level `k` of a row of vertices: sums over them are
-    /// a − b − c + d. `None` if there are no cells.
+    /// The starts of the four table rows along x that enclose the cells of level `k` of a row of vertices; a sum over these cells
+    /// is a − b − c + d. `None` if there are no cells.
     #[inline]
     pub(super) fn rows(&self, k: usize, y: usize, z: usize) -> Option<Rows> {
         let (y0, y1) = self.ranges[1][k - 1][y];

@@ -1,31 +1,31 @@
-//! The plane through the points of a neighbourhood, and how well it speaks for a vertex: (4.4)–(4.7).
+//! The plane through the points of a neighbourhood, and whether it decides a vertex: (4.5)–(4.7).
 
 use glam::{DVec3, Vec3, Vec4};
 
 use super::cells::STEPS;
 
-/// Vertices that are looked at together.
+/// Vertices that are processed together.
 pub(super) const LANES: usize = 4;
 
 /// Σ 1, Σ x, Σ y, Σ z, Σ xx, Σ yy, Σ zz, Σ xy, Σ xz, Σ yz of positions in steps: whole numbers.
 pub(super) type Moments = [f64; 10];
 
-/// Instead of a divisor that is 0.
+/// Stands in for a divisor of 0.
 const TINY: Vec4 = Vec4::splat(1e-30);
 
-/// What a neighbourhood must have to speak for a vertex.
+/// What a neighbourhood must have to decide a vertex.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
     /// τ (4.6), per voxel².
     pub(super) min_density: f32,
-    /// The least second largest standard deviation, voxels: with less, points lie on a line and span no plane.
+    /// A lower bound on the second largest standard deviation, voxels: points below it lie on a line and span no plane.
     pub(super) min_spread: f32,
 }
 
 /// A symmetric matrix of each lane: xx, yy, zz, xy, xz, yz.
 type Symmetric = [Vec4; 6];
 
-/// A neighbourhood in each of four lanes, and the vertex it is to speak for.
+/// A neighbourhood in each of four lanes, and the vertex that it may decide.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Neighbourhoods {
     /// Covariance of the points, voxels².
@@ -34,7 +34,7 @@ pub(super) struct Neighbourhoods {
     from_mean: [[f32; LANES]; 3],
 }
 
-/// What is known of the plane in each lane.
+/// The plane in each lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Planes {
     /// Whether the density at the vertex's projection is high enough (4.6), as bits.
@@ -51,7 +51,7 @@ impl Neighbourhoods {
         const STEP: f64 = 1.0 / STEPS as f64;
         let to_mean = STEP / m[0];
         let scale = to_mean * to_mean;
-        // n·Σxy − Σx·Σy is exact where it fits 53 bits: no digits are lost far from the origin.
+        // n·Σxy − Σx·Σy is exact as long as it fits into 53 bits, so that no digits are lost far from the origin.
         let covariance = [
             m[0] * m[4] - m[1] * m[1],
             m[0] * m[5] - m[2] * m[2],
@@ -71,8 +71,8 @@ impl Neighbourhoods {
 
     /// Principal component analysis of each lane, and the test of the Gaussian in the plane.
     ///
-    /// With C scaled to trace 1 only its smallest eigenvalue λ₃ is needed. The other two have the sum 1 − λ₃ and the product
-    /// det₂ = c₁ − λ₃(1 − λ₃), c₁ being the sum of C's principal minors; and for w in the plane
+    /// With C scaled to trace 1, only its smallest eigenvalue λ₃ is needed. The other two have the sum 1 − λ₃ and the product
+    /// det₂ = c₁ − λ₃(1 − λ₃), where c₁ is the sum of the principal minors of C, and for w in the plane
     /// wᵀΣ⁻¹w = ((1 − λ₃)·w² − wᵀCw)/det₂.
     pub(super) fn planes(&self, limits: &Limits) -> Planes {
         let threshold = (std::f32::consts::TAU * limits.min_density).powi(2);
@@ -115,7 +115,7 @@ impl Neighbourhoods {
 }
 
 impl Planes {
-    /// The unit normal e₃ of a lane's plane, either way round, and the distance (4.7) of its vertex along it, in voxels.
+    /// The unit normal e₃ of the plane in a lane, pointing either way, and the distance (4.7) of its vertex along it, in voxels.
     pub(super) fn plane(&self, lane: usize) -> (Vec3, f32) {
         let [xx, yy, zz, xy, xz, yz] = self.adjugate.map(|of| of[lane]);
         // The longest column of the adjugate.
