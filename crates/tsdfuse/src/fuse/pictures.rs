@@ -30,7 +30,7 @@ use crate::{
     normals::{NormalsConfig, estimate},
     render::{Image, Pixels, normal_color, viridis},
     scan::Scan,
-    sensor::{Cylindrical, ScanImage, SensorModel},
+    sensor::{CylindricalProjection, ScanImage, SensorModel},
     surfel::{Surfel, SurfelConfig, SurfelMap},
 };
 
@@ -124,7 +124,7 @@ pub fn surfels(scan: &Scan, config: &SurfelConfig, sensor: Option<&SensorModel>)
     let world_from_sensor = world_axes(scan)?;
     let mut map = SurfelMap::default();
     map.update(&placed.points, origins(&placed), world_from_sensor.z_axis, config);
-    let panorama = Cylindrical::new(&sensor, 0.0, 0.0, MARGIN);
+    let panorama = CylindricalProjection::new(&sensor, 0.0, 0.0, MARGIN);
     let mut nearest = vec![(f32::INFINITY, [0; 3]); panorama.rows() * panorama.columns()];
     for surfel in map.surfels() {
         splat(surfel, &panorama, world_from_sensor, &mut nearest);
@@ -207,7 +207,7 @@ fn depth_color(depth_m: f32) -> Option<[u8; 3]> {
 }
 
 /// Draws a disc into a panorama of depths and colours, behind nearer ones.
-fn splat(surfel: &Surfel, panorama: &Cylindrical, world_from_sensor: Mat3, nearest: &mut [(f32, [u8; 3])]) {
+fn splat(surfel: &Surfel, panorama: &CylindricalProjection, world_from_sensor: Mat3, nearest: &mut [(f32, [u8; 3])]) {
     let [center, normal] = [surfel.center, surfel.normal].map(|v| world_from_sensor.transpose() * v);
     let (radius, distance) = (surfel.radius_m, center.truncate().length());
     let (columns, rows) = (panorama.columns(), panorama.rows());
@@ -322,7 +322,7 @@ mod tests {
     #[test]
     fn nearer_discs_hide_farther_ones_and_flipped_ones_show() {
         let sensor = model("vlp16").unwrap();
-        let panorama = Cylindrical::new(&sensor, 0.0, 0.0, MARGIN);
+        let panorama = CylindricalProjection::new(&sensor, 0.0, 0.0, MARGIN);
         let disc = |x: f32, radius_m: f32, normal: Vec3| Surfel {
             center: Vec3::new(x, 0.0, 0.0),
             normal,
