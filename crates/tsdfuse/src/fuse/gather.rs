@@ -58,7 +58,7 @@ pub(crate) const ROWS: usize = BLOCK_VOXELS / ROW;
 ///     },
 ///     |_| false,
 ///     |_, items, updates| items.iter().for_each(|&voxel| updates.add(local_number(voxel), -0.5, 1.0)),
-/// );
+/// )?;
 /// assert_eq!((done.updated_blocks.len(), done.fused_returns), (2, 3));
 /// assert_eq!((map.voxel(voxels[0]).weight(), map.voxel(voxels[0]).distance()), (2.0, Some(-0.5)));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
