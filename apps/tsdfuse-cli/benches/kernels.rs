@@ -74,7 +74,9 @@ fn raycasting(criterion: &mut Criterion, sensor: &SensorModel, sweeps: &[Scan]) 
 
 /// Normals of one sweep, and the image of neighbours they come from.
 fn normals(criterion: &mut Criterion, sensor: &SensorModel, sweep: &Scan) {
-    let (Some(rings), Some(pose)) = (&sweep.rings, sweep.pose) else { return };
+    let (Some(rings), Some(pose)) = (&sweep.rings, sweep.pose) else {
+        return;
+    };
     let rotation = pose.rotation.as_quat();
     let points: Vec<Vec3> = sweep.points.iter().map(|p| rotation * *p).collect();
     let mut image = ScanImage::new();

@@ -156,7 +156,9 @@ impl Args {
             return Err(Usage::new("--long-drive is for one method"));
         }
         if self.log.log != Path::new(STREET) || self.log.scans.is_some() {
-            return Err(Usage::new("--long-drive simulates its own scans: no log and no --scans with it"));
+            return Err(Usage::new(
+                "--long-drive simulates its own scans: no log and no --scans with it",
+            ));
         }
         Ok(())
     }

@@ -103,7 +103,11 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     } = found.map_err(told)?;
     for file in &files {
         let is_sheet = file.extension().is_some_and(|e| e == "png");
-        let rows = if is_sheet { format!(" (row by row: {sheet_rows})") } else { String::new() };
+        let rows = if is_sheet {
+            format!(" (row by row: {sheet_rows})")
+        } else {
+            String::new()
+        };
         say(format_args!("  wrote    {}{rows}", file.display()));
     }
     if args.json {
@@ -135,7 +139,10 @@ fn tune(args: &Args, forms: Vec<Form>) -> Result<Outcome> {
     let mut bars = Bars::default();
     let found = tuning.run(&mut |p| bars.show(p)).map_err(told)?;
     for skipped in &found.skipped_scans {
-        say(format_args!("tsdfuse: warning: {} is skipped: {}", skipped.name, skipped.reason));
+        say(format_args!(
+            "tsdfuse: warning: {} is skipped: {}",
+            skipped.name, skipped.reason
+        ));
     }
     if args.json {
         print_json(&found)?;

@@ -25,7 +25,10 @@ fn start(job: &Job, threads: Option<u16>) -> Result<Result<Report, String>> {
     let program = std::env::current_exe().context("this program's own file")?;
     let mut command = Command::new(program);
     command.arg("run-job");
-    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
     if let Some(threads) = threads {
         command.env("RAYON_NUM_THREADS", threads.to_string());
     }
@@ -37,7 +40,11 @@ fn start(job: &Job, threads: Option<u16>) -> Result<Result<Report, String>> {
     let done = process.wait_with_output().context("tsdfuse run-job")?;
     if !done.status.success() {
         let told = String::from_utf8_lossy(&done.stderr);
-        bail!("its process ended with {}: {}", done.status, told.lines().last().unwrap_or("it said nothing"));
+        bail!(
+            "its process ended with {}: {}",
+            done.status,
+            told.lines().last().unwrap_or("it said nothing")
+        );
     }
     serde_json::from_slice(&done.stdout).context("the output of tsdfuse run-job")
 }

@@ -114,8 +114,8 @@ impl Form {
         Ok(settings)
     }
 
-    /// Its name as the name of a file.
-    pub fn file_stem(&self) -> String {
+    /// The file that its mesh is kept in.
+    pub fn mesh_name(&self) -> String {
         let keep = |c: char| {
             if c.is_ascii_alphanumeric() || "-.=".contains(c) {
                 c
@@ -123,7 +123,8 @@ impl Form {
                 '_'
             }
         };
-        self.name.chars().map(keep).collect()
+        let stem: String = self.name.chars().map(keep).collect();
+        stem + ".ply"
     }
 }
 
@@ -149,7 +150,10 @@ mod tests {
         assert_eq!(chosen(&[], &[written]).unwrap(), [written]);
         assert_eq!(chosen(&["surfel"], &[written]).unwrap(), ["surfel", written]);
         let form = Form::parse(written).unwrap();
-        assert_eq!(form.file_stem(), "raycast_raycast.distance=projective_map.max_weight=9");
+        assert_eq!(
+            form.mesh_name(),
+            "raycast_raycast.distance=projective_map.max_weight=9.ply"
+        );
     }
 
     #[test]

@@ -34,7 +34,9 @@ pub(crate) const FORMS: [Form; 12] = [
     form("surfel-ground-flip", Method::Surfels, |config| {
         config.surfel.ground_flip = true;
     }),
-    form("surfel-literal", Method::Surfels, |config| config.surfel.radius_sigmas = 1.0),
+    form("surfel-literal", Method::Surfels, |config| {
+        config.surfel.radius_sigmas = 1.0
+    }),
     form("cylindrical", Method::Cylindrical, |_| ()),
     form("kuehner", Method::Kuehner, |_| ()),
     form("depth", Method::Depth, |_| ()),

@@ -102,11 +102,7 @@ fn every_method_is_measured_and_its_stages_make_up_the_run() {
         }
         // Only what collects scans does its work at the end.
         let least = |key: &str| runs.iter().map(|run| number(&run[key])).fold(f64::INFINITY, f64::min);
-        assert_eq!(
-            least("finish") > least("update"),
-            name == "roldao",
-            "{name}: {runs:?}"
-        );
+        assert_eq!(least("finish") > least("update"), name == "roldao", "{name}: {runs:?}");
     }
     // Of the least disturbed run, since a machine that turns to other work between two stages counts for neither.
     assert!(best_share > 0.5, "{best_share}");

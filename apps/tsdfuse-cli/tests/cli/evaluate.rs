@@ -256,10 +256,22 @@ fn a_search_skips_what_cannot_be_used_only_if_it_may() {
     );
     let run = tsdfuse(&[&tune[..], &["--skip-bad"]].concat());
     assert_eq!(run.code, 3, "{}", run.stderr);
-    assert!(run.stderr.contains("000006 is skipped") || run.stderr.contains("000006.bin is skipped"), "{}", run.stderr);
+    assert!(
+        run.stderr.contains("000006 is skipped") || run.stderr.contains("000006.bin is skipped"),
+        "{}",
+        run.stderr
+    );
     let found = run.json();
-    assert_eq!((&found["scans"], found["skipped_scans"].as_array().unwrap().len()), (&12.into(), 1));
-    assert!(found["ranking"][0]["command"].as_str().unwrap().contains(" --skip-bad "));
+    assert_eq!(
+        (&found["scans"], found["skipped_scans"].as_array().unwrap().len()),
+        (&12.into(), 1)
+    );
+    assert!(
+        found["ranking"][0]["command"]
+            .as_str()
+            .unwrap()
+            .contains(" --skip-bad ")
+    );
 }
 
 #[test]
@@ -311,10 +323,7 @@ fn a_job_comes_as_json_and_its_report_goes_as_json() {
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let report: Value = serde_json::from_slice(&done.stdout).unwrap();
     assert_eq!(report["Ok"]["totals"]["scans"], 3);
-    assert_eq!(
-        report["Ok"]["mesh"]["triangles"],
-        ply::read(&folder.path("mesh.ply")).1
-    );
+    assert_eq!(report["Ok"]["mesh"]["triangles"], ply::read(&folder.path("mesh.ply")).1);
     let nowhere = run_job(&serde_json::json!({ "input": { "path": "nowhere" } }).to_string());
     let told: Value = serde_json::from_slice(&nowhere.stdout).unwrap();
     assert!(told["Err"].as_str().unwrap().contains("nowhere"), "{told}");
