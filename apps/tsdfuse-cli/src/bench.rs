@@ -8,7 +8,7 @@ use tsdfuse_evaluate::bench::{Bench, LongDrive, STREET};
 use tsdfuse_run::Device;
 
 use crate::args::{LogArgs, Memory};
-use crate::exit::{Outcome, Usage};
+use crate::exit::{self, Outcome, Usage};
 use crate::measuring::{Bars, told};
 use crate::output::{command_line, print, print_json};
 
@@ -58,6 +58,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     args.log.set_threads()?;
     let mut bars = Bars::default();
     let watch = &mut |progress: tsdfuse_evaluate::Progress<'_>| bars.show(progress);
+    exit::quiet_gpu(&args.device);
     if let Device::Gpu(name) = &args.device {
         return gpu::run(&bench, name.as_deref(), args.json, watch);
     }

@@ -5,7 +5,7 @@ use std::io;
 use std::process::ExitCode;
 
 use anyhow::Result;
-use tsdfuse_run::{RunError, Stop};
+use tsdfuse_run::{Device, RunError, Stop};
 
 use crate::progress::say;
 
@@ -80,6 +80,24 @@ pub(crate) fn ignore_file_size_signal() {
         // If the system refuses, the program ends as it did before.
         let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Stop::default().flag());
     }
+}
+
+/// Before a GPU is opened: Mesa's drivers print lines of their own unless a variable is set, which only a new start of the
+/// program can do. It replaces this one.
+pub(crate) fn quiet_gpu(device: &Device) {
+    #[cfg(all(unix, feature = "gpu"))]
+    if let (Device::Gpu(_), Some((name, value))) = (device, tsdfuse_gpu::quiet_variable()) {
+        use std::os::unix::process::CommandExt;
+        if let Ok(program) = std::env::current_exe() {
+            let arguments = std::env::args_os().skip(1);
+            // It returns only if it fails; then there are some lines more.
+            let _ = std::process::Command::new(program)
+                .args(arguments)
+                .env(name, value)
+                .exec();
+        }
+    }
+    let _ = device;
 }
 
 /// Prints the help or version that was asked for, or says in one line what is wrong with the arguments.

@@ -75,6 +75,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
+    exit::quiet_gpu(&args.device);
     let job = args.job()?;
     args.log.set_threads()?;
     let report = job.run(&exit::stop_on_interrupt()?, &mut Terminal::default())?;

@@ -16,7 +16,7 @@ use tsdfuse_io::map_file::{self, Damage, Reader};
 
 use tsdfuse_run::check_outputs;
 use tsdfuse_run::report::{MapReport, SavedMap};
-use tsdfuse_store::PagedMap;
+use tsdfuse_store::{PagedMap, Salvage};
 
 use crate::args::parse_triple;
 use crate::exit::{Outcome, Usage};
@@ -231,6 +231,16 @@ impl Operation {
                 Ok(Made {
                     exact: Some(exact),
                     ..moved.into()
+                })
+            }
+            Self::Repair { map, .. } if tsdfuse_store::recognises(map) => {
+                let salvage = Salvage::scan(map)?;
+                Ok(Made {
+                    damage: Some(Damage {
+                        places: salvage.damage().places.clone(),
+                        lost_blocks: salvage.damage().lost.as_ref().map(|(_, blocks)| *blocks),
+                    }),
+                    ..salvage.map()?.into()
                 })
             }
             Self::Repair { map, .. } => {

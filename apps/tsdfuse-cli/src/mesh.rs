@@ -9,7 +9,7 @@ use tsdfuse::mesh::MeshConfig;
 use tsdfuse_run::report::{MapReport, MeshReport};
 use tsdfuse_run::{Device, check_outputs, surface};
 
-use crate::exit::{Outcome, Usage};
+use crate::exit::{self, Outcome, Usage};
 use crate::map::open_store;
 use crate::output::{self, print_json};
 use crate::{progress, terminal};
@@ -56,6 +56,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let config = MeshConfig {
         min_weight: args.min_weight,
     };
+    exit::quiet_gpu(&args.device);
     config.validate().map_err(Usage::new)?;
     output::check_terminal(&args.output, args.json)?;
     surface::check(&args.output)?;

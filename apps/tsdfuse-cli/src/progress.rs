@@ -25,7 +25,11 @@ pub(crate) fn scans(doing: &'static str, len: Option<usize>) -> ProgressBar {
             doing,
             "{msg} {wide_bar} {pos}/{len} scans, {per_sec}, {eta} left",
         ),
-        None => styled(ProgressBar::new_spinner(), doing, "{spinner} {msg} {pos} scans, {per_sec}"),
+        None => styled(
+            ProgressBar::new_spinner(),
+            doing,
+            "{spinner} {msg} {pos} scans, {per_sec}",
+        ),
     }
 }
 

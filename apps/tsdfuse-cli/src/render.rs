@@ -1,23 +1,24 @@
 //! `tsdfuse render`: a saved map in, pictures of it out.
 
 mod look;
+mod name;
+mod scan;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Result;
 use clap::ArgGroup;
 use clap::builder::PossibleValuesParser;
-use glam::DVec3;
 use serde::Serialize;
 use tsdfuse::SensorModel;
+use tsdfuse::fuse::pictures::Picture;
 use tsdfuse::render::{Camera, ImageKind, RenderConfig};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse_run::report::{MapReport, ViewReport};
 use tsdfuse_run::{Device, check_outputs, view};
 
-use crate::args::parse_triple;
-use crate::exit::{Outcome, Usage};
+use crate::exit::{self, Outcome, Usage};
 use crate::output::print_json;
 use crate::progress::{self, note, say};
 use crate::terminal;
@@ -36,23 +37,27 @@ Examples:
   tsdfuse render street.tsdf -o view.png
   tsdfuse render street.tsdf -o view.png --from 0,0,2 --to 20,5,1 --image shaded,depth
   tsdfuse render street.tsdf -o turn.png --views 36
-  tsdfuse render street.tsdf -o scan.png --pose 0,0,1.8 --sensor pandar64";
+  tsdfuse render street.tsdf -o scan.png --pose 0,0,1.8 --sensor pandar64
+  tsdfuse render pandaset/002 -o scan.png --scan 5 --image normals,surfels,filled";
 
 /// Make pictures of a saved map.
 #[derive(Debug, clap::Args)]
 #[command(after_help = MORE_HELP, group(ArgGroup::new("place").args(["pose", "poses", "from"])),
     group(ArgGroup::new("look").args(["overview", "views", "pose", "poses", "from"])))]
 pub(crate) struct Args {
-    /// The map, saved by `tsdfuse fuse --save-map`.
+    /// A map saved with `tsdfuse fuse --save-map`, or a store; with --scan a log.
     map: PathBuf,
+    /// Draw what methods make of scan N of a log instead: its normals, surfels or cylindrical images.
+    #[arg(long, value_name = "N", conflicts_with_all = ["look", "sensor", "size", "fov", "optical", "json"])]
+    scan: Option<usize>,
     /// The picture to write, .png.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     look: LookArgs,
     /// What the picture shows; several with commas between them.
-    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = ImageKind::default().name(),
-        value_parser = PossibleValuesParser::new(ImageKind::ALL.map(ImageKind::name)))]
+    #[arg(long, value_name = "KIND", value_delimiter = ',',
+        value_parser = PossibleValuesParser::new(ImageKind::ALL.map(ImageKind::name).into_iter().chain(Picture::ALL.map(Picture::name))))]
     image: Vec<String>,
     /// Look with a LiDAR: a row for each beam, a column for each firing, clockwise from straight ahead.
     #[arg(long, value_name = "NAME", requires = "place", conflicts_with_all = ["size", "fov"],
@@ -88,13 +93,17 @@ struct Done {
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
+    if let Some(number) = args.scan {
+        return scan::run(&args.map, number, &args.pictures()?, &args.output);
+    }
     let config = RenderConfig {
         min_weight: args.min_weight,
         max_range_m: args.max_range,
     };
+    exit::quiet_gpu(&args.device);
     config.validate().map_err(Usage::new)?;
     tsdfuse_io::png::check(&args.output).map_err(Usage::new)?;
-    let kinds = args.kinds();
+    let kinds = args.kinds()?;
     let pinhole = args.look.camera()?;
     let sensor = args.sensor.as_deref().and_then(tsdfuse::sensor::model);
     let place = Look::of(&args.look)?;
@@ -116,7 +125,10 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     for (number, pose) in poses.iter().enumerate() {
         let files: Vec<_> = kinds
             .iter()
-            .map(|&kind| (kind, name(&args.output, number, poses.len(), kind, kinds.len())))
+            .map(|&kind| {
+                let path = name::of(&args.output, (number, poses.len()), (kind.name(), kinds.len()));
+                (kind, path)
+            })
             .collect();
         views.push(view::write(&mut look, &camera, *pose, &files)?);
     }
@@ -139,10 +151,37 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
 }
 
 impl Args {
-    /// The pictures to make of each view; none twice.
-    fn kinds(&self) -> Vec<ImageKind> {
-        let asked = |kind: &ImageKind| self.image.iter().any(|name| name == kind.name());
-        ImageKind::ALL.into_iter().filter(asked).collect()
+    /// The pictures of a map to make of each view; none twice.
+    fn kinds(&self) -> Result<Vec<ImageKind>, Usage> {
+        let asked = |kind: &ImageKind| match self.image.is_empty() {
+            true => *kind == ImageKind::default(),
+            false => self.image.iter().any(|name| name == kind.name()),
+        };
+        self.none_else(
+            ImageKind::ALL.map(ImageKind::name).as_slice(),
+            "is a picture of a scan: say which with --scan",
+        )?;
+        Ok(ImageKind::ALL.into_iter().filter(asked).collect())
+    }
+
+    /// The pictures of a scan to make; none twice.
+    fn pictures(&self) -> Result<Vec<Picture>, Usage> {
+        let asked = |picture: &Picture| match self.image.is_empty() {
+            true => *picture == Picture::Normals,
+            false => self.image.iter().any(|name| name == picture.name()),
+        };
+        self.none_else(
+            Picture::ALL.map(Picture::name).as_slice(),
+            "is a picture of a map: leave out --scan",
+        )?;
+        Ok(Picture::ALL.into_iter().filter(asked).collect())
+    }
+
+    fn none_else(&self, possible: &[&str], otherwise: &str) -> Result<(), Usage> {
+        let other = self.image.iter().find(|name| !possible.contains(&name.as_str()));
+        other.map_or(Ok(()), |name| {
+            Err(Usage::new(format_args!("--image {name}: {otherwise}")))
+        })
     }
 }
 
@@ -184,37 +223,5 @@ impl Done {
         if most == 0.0 {
             note("nothing of the map is seen from there");
         }
-    }
-}
-
-/// The name of a picture: that of `--output`, with the view's number if there are several, and the kind's name likewise.
-fn name(output: &Path, view: usize, views: usize, kind: ImageKind, kinds: usize) -> PathBuf {
-    let mut stem = output.file_stem().unwrap_or_default().to_os_string();
-    if views > 1 {
-        let digits = (views - 1).to_string().len().max(2);
-        stem.push(format!("-{view:0digits$}"));
-    }
-    if kinds > 1 {
-        stem.push(format!("-{}", kind.name()));
-    }
-    stem.push(".");
-    stem.push(output.extension().unwrap_or_default());
-    output.with_file_name(stem)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_are_numbered_and_say_what_they_show_where_they_must() {
-        let named = |view, views, kinds| {
-            let path = name(Path::new("a.b/view.x.PNG"), view, views, ImageKind::Depth, kinds);
-            path.to_str().unwrap().to_owned()
-        };
-        assert_eq!(named(0, 1, 1), "a.b/view.x.PNG");
-        assert_eq!(named(0, 1, 2), "a.b/view.x-depth.PNG");
-        assert_eq!(named(7, 10, 1), "a.b/view.x-07.PNG");
-        assert_eq!(named(7, 101, 2), "a.b/view.x-007-depth.PNG");
     }
 }

@@ -30,7 +30,10 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
-    let store = args.store.canonicalize().with_context(|| args.store.display().to_string())?;
+    let store = args
+        .store
+        .canonicalize()
+        .with_context(|| args.store.display().to_string())?;
     let (mut job, resumed) = Job::of_store(&store)?;
     job.store = Some(store);
     job.command_line = output::command_line();

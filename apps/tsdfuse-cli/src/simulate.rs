@@ -140,7 +140,7 @@ fn config(args: &Args) -> SimulatorConfig {
 fn write(args: &Args, simulator: &Simulator, folder: &Path) -> Result<u64> {
     let mut writer = Writer::create(folder)?;
     writer.write_sensor(simulator.sensor())?;
-    let bar = progress::scans("simulating", args.scans as usize);
+    let bar = progress::scans("simulating", Some(args.scans as usize));
     let mut points = 0;
     let exact = self::simulator(args, 0.0)?;
     let mut hits = Hits::default();

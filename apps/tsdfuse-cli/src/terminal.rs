@@ -1,9 +1,7 @@
 //! What people see of a run: bars on a terminal, notes, and a few lines in the end.
 
 use indicatif::{BinaryBytes, HumanCount, ProgressBar};
-use tsdfuse_run::report::{
-    FinishReport, MapReport, MeshReport, PagingReport, Report, SavedMap, TilesReport, Totals, ViewReport,
-};
+use tsdfuse_run::report::{FinishReport, MapReport, MeshReport, Report, SavedMap, TilesReport, Totals, ViewReport};
 use tsdfuse_run::{Event, Observer};
 
 use crate::progress::{self, note, say};
@@ -79,12 +77,17 @@ pub(crate) fn summarize(report: &Report) {
         finish,
         seconds,
     } = &report.totals;
-    let on = report.device.as_ref().map_or(String::new(), |device| format!(" on {device}"));
+    let on = report
+        .device
+        .as_ref()
+        .map_or(String::new(), |device| format!(" on {device}"));
     // After a resume, only the scans of this process took this time.
     let (fused_here, earlier) = (report.scans.len(), scans - report.scans.len());
     let rate = fused_here as f64 / seconds;
     if earlier == 0 {
-        say(format_args!("{scans} scans fused in {seconds:.2} s, {rate:.1} scans/s{on}"));
+        say(format_args!(
+            "{scans} scans fused in {seconds:.2} s, {rate:.1} scans/s{on}"
+        ));
     } else if fused_here == 0 {
         say(format_args!("{scans} scans were fused before{on}"));
     } else {
@@ -161,20 +164,4 @@ pub(crate) fn pictures(view: &ViewReport) {
     view.files
         .iter()
         .for_each(|file| say(format_args!("  wrote    {}", file.display())));
-}
-
-/// A line about paging, on a drive of this length.
-pub(crate) fn paging(report: &PagingReport, length_km: f64) -> String {
-    let bytes = |bytes: usize| BinaryBytes(bytes as u64);
-    format!(
-        "blocks in memory: {} at most, {} wanted; file: {} ({} per km); paging {:.1} s, commits {:.1} s\n",
-        bytes(report.most_bytes),
-        report
-            .limit_bytes
-            .map_or_else(|| "all".to_owned(), |limit| bytes(limit).to_string()),
-        bytes(report.store_bytes as usize),
-        bytes((report.store_bytes as f64 / length_km) as usize),
-        report.paging_seconds,
-        report.commit_seconds,
-    )
 }

@@ -31,7 +31,7 @@ use crate::{bin, pcd, ply, present, times};
 
 mod beside;
 
-pub(crate) use beside::{PoseFile, parse_sensor, poses};
+pub(crate) use beside::{PoseFile, parse_motions, parse_sensor, poses};
 use beside::{motions, of_model, sensor};
 
 /// The longest time between two scans over which the sensor is taken to move steadily, seconds.

@@ -148,6 +148,11 @@ pub fn kitti(bytes: &[u8]) {
     let _ = kitti_raw::packet(Path::new(PATH), bytes);
 }
 
+/// Poses during each sweep.
+pub fn motion(bytes: &[u8]) {
+    let _ = folder::parse_motions(Path::new(PATH), bytes);
+}
+
 /// A sensor's model.
 pub fn sensor(bytes: &[u8]) {
     let _ = folder::parse_sensor(Path::new(PATH), bytes);
@@ -196,6 +201,14 @@ mod tests {
         fn any_packed_blocks_and_columns_are_bearable(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
             packed(&bytes);
             columns(&bytes);
+        }
+
+        #[test]
+        fn any_motion_is_bearable(numbers in prop::collection::vec(-2..3i8, 0..60), every in 1usize..30) {
+            let words: Vec<String> = numbers.iter().map(ToString::to_string).collect();
+            let lines: Vec<String> = words.chunks(every).map(|line| line.join(" ")).collect();
+            motion(lines.join("\n").as_bytes());
+            motion(lines.join("\n-\n").as_bytes());
         }
 
         #[test]

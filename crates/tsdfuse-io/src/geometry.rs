@@ -28,9 +28,10 @@ pub fn read(path: impl AsRef<Path>) -> Result<Geometry> {
     let parse = match extension(path).as_str() {
         "ply" => |path: &Path, bytes: &[u8]| {
             let mesh = ply::parse_mesh(path, bytes)?;
-            Ok(match mesh.triangles.is_empty() {
-                true => Geometry::Cloud(mesh.vertices),
-                false => Geometry::Mesh(mesh),
+            Ok(if mesh.triangles.is_empty() {
+                Geometry::Cloud(mesh.vertices)
+            } else {
+                Geometry::Mesh(mesh)
             })
         },
         "obj" => |path: &Path, bytes: &[u8]| obj::parse(path, bytes).map(Geometry::Mesh),

@@ -14,18 +14,17 @@ use crate::error::Result;
 use crate::ply::{has_normals, in_chunks, one_color_each};
 
 mod read;
+mod types;
 
 pub use read::parse;
+use types::{F32, U8, U32};
 
 /// Bytes of a position, a normal and a triangle; and of a colour.
 const TRIPLE: usize = 12;
 const COLOR: usize = 4;
-/// glTF's numbers for what a part of the buffer is and which type its entries have.
+/// glTF's numbers for what a part of the buffer is.
 const VERTICES: u32 = 34_962;
 const INDICES: u32 = 34_963;
-const F32: u32 = 5126;
-const U32: u32 = 5125;
-const U8: u32 = 5121;
 
 /// Writes a mesh to a file, which appears when it is complete.
 ///
@@ -94,9 +93,10 @@ fn write_parts(mut out: impl Write, mesh: &Mesh, colors: &[[u8; 3]]) -> io::Resu
 /// Linear light of an sRGB value (IEC 61966-2-1), both of 255.
 fn linear(srgb: u8) -> u8 {
     let value = f32::from(srgb) / 255.0;
-    let light = match value <= 0.04045 {
-        true => value / 12.92,
-        false => ((value + 0.055) / 1.055).powf(2.4),
+    let light = if value <= 0.04045 {
+        value / 12.92
+    } else {
+        ((value + 0.055) / 1.055).powf(2.4)
     };
     (light * 255.0).round() as u8
 }

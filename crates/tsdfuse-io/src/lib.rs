@@ -1,8 +1,4 @@
-//! Readers of LiDAR logs and depth images, and writers of meshes and pictures.
-//!
-//! [`open`] recognises what lies at a path and gives a [`Log`]: scans with poses, read ahead in the background, and the
-//! trajectory, IMU samples and images that were recorded with them. A format of your own implements [`Source`] or [`Stream`].
-//! [`mesh::write`] and [`png::write`] write what was made of them; [`geometry::read`] reads a mesh or a cloud.
+#![doc = include_str!("../README.md")]
 
 pub mod atomic;
 mod bin;

@@ -71,10 +71,10 @@ pub fn check_colored(path: impl AsRef<Path>) -> Result<()> {
 /// Names the file and the extensions there are.
 pub fn check(path: impl AsRef<Path>) -> Result<()> {
     let path = path.as_ref();
-    match path.as_os_str() == "-" {
-        true => Ok(()),
-        false => writer(path).map(drop),
+    if path.as_os_str() == "-" {
+        return Ok(());
     }
+    writer(path).map(drop)
 }
 
 fn writer(path: &Path) -> Result<fn(&Path, &Mesh) -> Result<()>> {

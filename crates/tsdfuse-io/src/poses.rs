@@ -57,7 +57,7 @@ impl Poses {
 
 /// The pose at a time, interpolated; or why there is none.
 pub(crate) fn at(trajectory: &Trajectory, time_ns: i64) -> Result<Pose, String> {
-    let (before, after) = trajectory.neighbours(time_ns);
+    let [before, after] = trajectory.neighbours(time_ns);
     if before
         .zip(after)
         .is_some_and(|(a, b)| secs_between(a.0, b.0) <= MAX_GAP_SECS)

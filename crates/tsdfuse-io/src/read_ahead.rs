@@ -370,7 +370,7 @@ mod tests {
 
     fn source() -> (Arc<dyn Source>, Arc<AtomicUsize>) {
         let reads = Arc::new(AtomicUsize::new(0));
-        let scan = |i| ScanRef {
+        let scan = |i: usize| ScanRef {
             name: format!("{i}.bin"),
             sensor: i % 2,
             time_ns: None,

@@ -4,9 +4,9 @@ use std::fmt::{self, Display};
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
+use tsdfuse::VoxelMap;
 use tsdfuse::mesh::{Mesh, MeshConfig};
 use tsdfuse::render::{RenderConfig, Renderer};
-use tsdfuse::VoxelMap;
 
 use crate::error::Result;
 use crate::gpu;

@@ -25,7 +25,9 @@ pub(crate) fn open(
     sensors: &[Option<SensorModel>],
 ) -> Result<Box<dyn Backend>> {
     let [sensor] = sensors else {
-        return Err(RunError::config("a GPU fuses one sensor: name it, or leave out --device"));
+        return Err(RunError::config(
+            "a GPU fuses one sensor: name it, or leave out --device",
+        ));
     };
     let gpu = Gpu::open(name)?;
     let device_map = DeviceMap::upload(&gpu, map, pool(&gpu))?;
@@ -178,6 +180,9 @@ impl Backend for OnGpu {
 
     fn report(&self) -> MapReport {
         // What cannot be downloaded was reported where it was fused.
-        self.fuser.map().download().map_or_else(|_| MapReport::default(), |map| MapReport::of(&map))
+        self.fuser
+            .map()
+            .download()
+            .map_or_else(|_| MapReport::default(), |map| MapReport::of(&map))
     }
 }

@@ -46,7 +46,12 @@ impl Input {
             )));
         }
         if let Some(every) = self.selection.hold_out {
-            let asked = Selection { hold_out: None, ..self.selection.clone() }.indices(scans).len();
+            let asked = Selection {
+                hold_out: None,
+                ..self.selection.clone()
+            }
+            .indices(scans)
+            .len();
             let fused = self.selection.indices(scans).len();
             if fused == 0 || fused == asked {
                 return Err(RunError::config(format_args!(
@@ -110,7 +115,12 @@ impl Job {
         let mut job = self.clone();
         absolute(&mut job.input.path)?;
         let outputs = &mut job.outputs;
-        let files = [&mut outputs.mesh, &mut outputs.map, &mut outputs.preview, &mut outputs.report];
+        let files = [
+            &mut outputs.mesh,
+            &mut outputs.map,
+            &mut outputs.preview,
+            &mut outputs.report,
+        ];
         let others = [&mut job.input.options.poses, &mut job.store, &mut job.load_map];
         files.into_iter().chain(others).flatten().try_for_each(absolute)?;
         Ok(job)

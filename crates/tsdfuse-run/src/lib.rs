@@ -38,13 +38,13 @@ mod setup;
 pub mod surface;
 pub mod view;
 
-#[cfg(feature = "gpu")]
-pub use gpu::pool;
 pub use checkpoint::Checkpoint;
 pub use config::RunConfig;
 pub use device::Device;
 pub use error::{BadScan, Result, RunError};
 pub use event::{Event, Observer, Silent, Stop};
+#[cfg(feature = "gpu")]
+pub use gpu::pool;
 pub use job::{Input, Job};
 pub use machine::{Machine, peak_memory_bytes};
 pub use outputs::{Outputs, check as check_outputs, check_file};

@@ -46,7 +46,9 @@ impl Backend for InMemory {
     fn finish(&mut self) -> Result<Vec<BlockIndex>> {
         let mut updated = Vec::new();
         for method in self.integrators.all() {
-            let done = method.finish(&mut self.map).map_err(|error| RunError::Full(error.to_string()))?;
+            let done = method
+                .finish(&mut self.map)
+                .map_err(|error| RunError::Full(error.to_string()))?;
             updated.extend(done.updated_blocks);
         }
         Ok(updated)

@@ -48,7 +48,9 @@ impl Outputs {
                 ));
             }
             if self.mesh_every.is_some() && surface::is_tileset(mesh) {
-                return Err(RunError::config("--mesh-every writes one file again and again, not tiles"));
+                return Err(RunError::config(
+                    "--mesh-every writes one file again and again, not tiles",
+                ));
             }
             surface::check(mesh)?;
         }
@@ -84,10 +86,15 @@ pub fn check(inputs: &[&Path], outputs: &[&Path]) -> Result<()> {
     for (i, (path, place)) in outputs.iter().zip(&resolved).enumerate() {
         let shown = path.display();
         if resolved[..i].contains(place) {
-            return Err(RunError::config(format_args!("{shown}: two results cannot be one file")));
+            return Err(RunError::config(format_args!(
+                "{shown}: two results cannot be one file"
+            )));
         }
         // Of a log's folder only what is there already could be an input.
-        if let Some(input) = inputs.iter().find(|input| place == *input || (place.exists() && place.starts_with(input))) {
+        if let Some(input) = inputs
+            .iter()
+            .find(|input| place == *input || (place.exists() && place.starts_with(input)))
+        {
             return Err(RunError::config(format_args!(
                 "{shown}: would overwrite what is read from {}; write elsewhere, or remove it first",
                 input.display()
@@ -105,7 +112,10 @@ fn resolved(path: &Path) -> PathBuf {
     if let Ok(path) = path.canonicalize() {
         return path;
     }
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = path
+        .parent()
+        .filter(|p| !p.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     match (folder.canonicalize(), path.file_name()) {
         (Ok(folder), Some(name)) => folder.join(name),
         _ => std::path::absolute(path).unwrap_or_else(|_| path.to_owned()),
@@ -117,7 +127,10 @@ fn resolved(path: &Path) -> PathBuf {
 /// # Errors
 /// [`RunError::Io`] names the file and what is wrong.
 pub fn check_file(path: &Path) -> Result<()> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = path
+        .parent()
+        .filter(|p| !p.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     let wrong = |reason: String| Err(tsdfuse_io::Error::dataset(path, reason).into());
     if !folder.is_dir() {
         return wrong(format!("there is no folder {}", folder.display()));
@@ -150,13 +163,26 @@ mod tests {
             check(&[&log, &config], &outputs).err().map(|e| e.to_string())
         };
         let at = |name: &str| dir.path().join(name);
-        assert_eq!(told(&[at("mesh.ply"), at("map.tsdf"), at("log/mesh.ply"), "-".into()]), None);
-        for bad in ["log/000000.ply", "log/poses.txt", "log/../log/poses.txt", "run.toml", "log"] {
+        assert_eq!(
+            told(&[at("mesh.ply"), at("map.tsdf"), at("log/mesh.ply"), "-".into()]),
+            None
+        );
+        for bad in [
+            "log/000000.ply",
+            "log/poses.txt",
+            "log/../log/poses.txt",
+            "run.toml",
+            "log",
+        ] {
             assert!(told(&[at(bad)]).unwrap().contains("would overwrite"), "{bad}");
         }
         #[cfg(unix)]
         assert!(told(&[at("link.txt")]).unwrap().contains("would overwrite"));
-        assert!(told(&[at("a.ply"), at("log/../a.ply")]).unwrap().contains("cannot be one file"));
+        assert!(
+            told(&[at("a.ply"), at("log/../a.ply")])
+                .unwrap()
+                .contains("cannot be one file")
+        );
         assert!(told(&[at("nowhere/a.ply")]).unwrap().contains("there is no folder"));
         fs::create_dir(at("folder")).unwrap();
         assert!(told(&[at("folder")]).unwrap().contains("is a folder"));

@@ -7,7 +7,7 @@ use std::time::Instant;
 use tsdfuse::glam::IVec3;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
-use tsdfuse::{Pose, Reach, Scan, SensorModel, VoxelMap};
+use tsdfuse::{Pose, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::Reader;
 use tsdfuse_store::{PagedError, PagedMap, StoreError};
 
@@ -24,8 +24,6 @@ pub(crate) struct Paged {
     map: PagedMap,
     integrators: Integrators,
     config: MeshConfig,
-    /// What the last scan could touch.
-    reach: Option<Reach>,
     commits: usize,
     commit_seconds: f64,
     /// A store that only bounds memory is removed in the end.
@@ -61,7 +59,6 @@ impl Paged {
             map,
             integrators: Integrators::new(&setup.config, sensors),
             config: setup.config.mesh,
-            reach: None,
             commits: 0,
             commit_seconds: 0.0,
             temporary: None,
@@ -99,22 +96,18 @@ impl Drop for Paged {
 
 impl Backend for Paged {
     fn fuse(&mut self, sensor: usize, scan: &Scan) -> Result<Vec<Settled>, Failed> {
-        let method = self.integrators.of(sensor);
-        self.reach = Some(method.reach(self.map.config(), scan).map_err(Failed::of)?);
-        let done = self.map.integrate(method, scan).map_err(|error| match error {
-            PagedError::Fuse(error) => Failed::of(error),
-            PagedError::Store(error) => Failed::Run(error.into()),
-        })?;
+        let done = self
+            .map
+            .integrate(self.integrators.of(sensor), scan)
+            .map_err(|error| match error {
+                PagedError::Fuse(error) => Failed::of(error),
+                PagedError::Store(error) => Failed::Run(error.into()),
+            })?;
         Ok(vec![done.into()])
     }
 
     fn prefetch(&mut self, next: &[Pose]) -> Result<()> {
-        for pose in next {
-            if let Some(reach) = &self.reach {
-                self.map.prefetch(&reach.at(pose.translation))?;
-            }
-        }
-        Ok(())
+        Ok(next.iter().try_for_each(|pose| self.map.prefetch(pose.translation))?)
     }
 
     fn needs_sensor(&self) -> bool {
@@ -190,9 +183,7 @@ impl Backend for Paged {
 /// A block and those around it, this far.
 fn around(BlockIndex(block): BlockIndex, far: i32) -> impl Iterator<Item = BlockIndex> {
     let edge = move || -far..=far;
-    edge().flat_map(move |z| {
-        edge().flat_map(move |y| edge().map(move |x| BlockIndex(block + IVec3::new(x, y, z))))
-    })
+    edge().flat_map(move |z| edge().flat_map(move |y| edge().map(move |x| BlockIndex(block + IVec3::new(x, y, z)))))
 }
 
 /// How a temporary store's name ends.

@@ -374,6 +374,9 @@ mod tests {
         assert_eq!(sums.left_out(), "; 3 too near, 1,200 other sensor");
         sums.dropped = Dropped::default();
         assert_eq!(sums.left_out(), "");
-        assert_eq!([0, 999, 1000, 1_234_567].map(with_commas), ["0", "999", "1,000", "1,234,567"]);
+        assert_eq!(
+            [0, 999, 1000, 1_234_567].map(with_commas),
+            ["0", "999", "1,000", "1,234,567"]
+        );
     }
 }

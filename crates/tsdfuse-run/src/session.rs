@@ -240,7 +240,9 @@ impl Session {
     /// [`RunError::BadScan`] for a scan that cannot be used, unless [`Setup::skip_bad`] is set. All else ends the run; a store
     /// then holds what was committed last.
     pub fn step(&mut self, observer: &mut dyn Observer) -> Result<bool> {
-        let Some(reading) = &mut self.reading else { return Ok(false) };
+        let Some(reading) = &mut self.reading else {
+            return Ok(false);
+        };
         self.stopped = self.stop.is_stopped();
         let waiting = Instant::now();
         let read = if self.stopped { None } else { reading.next() };
@@ -379,7 +381,9 @@ impl Session {
     /// Completes the reports of the oldest scans that are under way.
     fn settle(&mut self, settled: Vec<Settled>, observer: &mut dyn Observer) -> Result<()> {
         for done in settled {
-            let Some((index, mut report)) = self.under_way.pop_front() else { continue };
+            let Some((index, mut report)) = self.under_way.pop_front() else {
+                continue;
+            };
             report.sums.fused = done.fused;
             report.sums.skipped = done.skipped;
             report.sums.prepare += done.prepare_secs;
@@ -449,7 +453,9 @@ impl Session {
     /// # Errors
     /// If the store cannot be written; it then holds what was committed before.
     pub fn commit(&mut self, observer: &mut dyn Observer) -> Result<()> {
-        if self.backend.commit(&self.checkpoint.bytes())? && let Some(path) = &self.setup.store {
+        if self.backend.commit(&self.checkpoint.bytes())?
+            && let Some(path) = &self.setup.store
+        {
             observer.on(Event::MapStored {
                 path,
                 done: self.checkpoint.done,
@@ -577,4 +583,3 @@ impl Session {
         report.ok_or_else(|| RunError::Nothing("the map has no surface".to_owned()))
     }
 }
-

@@ -97,7 +97,9 @@ impl Settings {
         let mut texts = Vec::new();
         for (name, value) in &self.0 {
             match value {
-                Value::Table(section) => texts.extend(section.iter().map(|(key, value)| format!("{name}.{key}={value}"))),
+                Value::Table(section) => {
+                    texts.extend(section.iter().map(|(key, value)| format!("{name}.{key}={value}")))
+                }
                 value => texts.push(format!("{name}={value}")),
             }
         }
@@ -133,7 +135,11 @@ impl Settings {
         }
         if !self.has("map", "truncation_m") {
             // A band that suits the default voxels need not suit larger ones.
-            let least = if defaults.map == MapConfig::default() { 0.0 } else { 4.0 * config.map.voxel_size_m };
+            let least = if defaults.map == MapConfig::default() {
+                0.0
+            } else {
+                4.0 * config.map.voxel_size_m
+            };
             config.map.truncation_m = defaults.map.truncation_m.max(least);
         }
         config.validate()?;
@@ -179,7 +185,12 @@ mod tests {
     #[test]
     fn settings_read_back_from_their_texts() {
         let mut settings = Settings::default();
-        for text in ["method=normals", "map.max_weight=9", "raycast.distance=projective", "patch.carve=false"] {
+        for text in [
+            "method=normals",
+            "map.max_weight=9",
+            "raycast.distance=projective",
+            "patch.carve=false",
+        ] {
             settings.set_text(text).unwrap();
         }
         let mut again = Settings::default();

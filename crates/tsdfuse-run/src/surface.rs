@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::time::Instant;
 
+use tsdfuse::VoxelMap;
 use tsdfuse::glam::{DVec3, Vec3};
 use tsdfuse::mesh::{Mesh, MeshConfig, MeshSink, Surface, extract_with};
-use tsdfuse::VoxelMap;
 use tsdfuse_io::ply;
 use tsdfuse_store::PagedMap;
 

@@ -140,7 +140,10 @@ fn memory_pages_stores_and_streams_give_one_map() {
     session.run(&mut Silent).unwrap();
     assert!(session.map().is_none() && session.mesh().is_err());
     assert_eq!(saved(session, dir.path()), whole);
-    let left: Vec<_> = std::fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    let left: Vec<_> = std::fs::read_dir(dir.path())
+        .unwrap()
+        .map(|e| e.unwrap().file_name())
+        .collect();
     assert_eq!(left, ["saved.tsdf"], "the temporary store is gone");
 }
 
@@ -200,7 +203,10 @@ fn a_run_that_is_stopped_leaves_what_a_commit_leaves_and_goes_on() {
     });
     let report = report.unwrap();
     assert!(report.stopped);
-    assert_eq!((report.totals.scans, stored), (5, vec![(2, Some(9)), (4, Some(9)), (5, Some(9))]));
+    assert_eq!(
+        (report.totals.scans, stored),
+        (5, vec![(2, Some(9)), (4, Some(9)), (5, Some(9))])
+    );
 
     let (again, resumed) = Job::of_store(job.store.as_ref().unwrap()).unwrap();
     assert_eq!((resumed.checkpoint().done, &again.input.path), (5, &path));
@@ -218,7 +224,10 @@ fn a_run_that_is_stopped_leaves_what_a_commit_leaves_and_goes_on() {
         }
     });
     let report = report.unwrap();
-    assert_eq!((report.scans.len(), report.totals.scans, begun), (4, 9, Some((Some(9), 5))));
+    assert_eq!(
+        (report.scans.len(), report.totals.scans, begun),
+        (4, 9, Some((Some(9), 5)))
+    );
     let log = tsdfuse_io::open(&path).unwrap();
     let map = tsdfuse_io::map_file::read(dir.path().join("map.tsdf")).unwrap();
     assert_eq!(map, fused(&log, setup(&log)));
@@ -232,7 +241,10 @@ fn only_bad_scans_are_skipped() {
     let log = wall.clone().log();
     let mut session = Session::begin(&log, setup(&log), &mut Silent).unwrap();
     let error = session.run(&mut Silent).unwrap_err();
-    assert!(matches!(&error, RunError::BadScan(bad) if bad.scan == "000001.bin"), "{error:?}");
+    assert!(
+        matches!(&error, RunError::BadScan(bad) if bad.scan == "000001.bin"),
+        "{error:?}"
+    );
 
     let skipping = Setup {
         skip_bad: true,
@@ -246,7 +258,11 @@ fn only_bad_scans_are_skipped() {
         }
     };
     session.run(&mut watch).unwrap();
-    let names: Vec<&str> = session.skipped().iter().map(|s: &SkippedScan| s.name.as_str()).collect();
+    let names: Vec<&str> = session
+        .skipped()
+        .iter()
+        .map(|s: &SkippedScan| s.name.as_str())
+        .collect();
     assert_eq!(names, ["000001.bin", "000003.bin"]);
     assert_eq!(told.iter().map(|(index, _)| *index).collect::<Vec<_>>(), [1, 3]);
     assert!(told[1].1.reason.contains("outside the map's grid"), "{told:?}");
@@ -311,7 +327,9 @@ fn the_core_alone_gives_the_same_map() {
     let log = tsdfuse_io::open(sample).unwrap();
     let suggested = log.suggested();
     let mut map = VoxelMap::new(suggested.map).unwrap();
-    let mut fuser = suggested.method.build(&Default::default(), log.sensors()[0].model.as_ref());
+    let mut fuser = suggested
+        .method
+        .build(&Default::default(), log.sensors()[0].model.as_ref());
     for scan in &log {
         fuser.integrate(&mut map, &scan.unwrap()).unwrap();
     }

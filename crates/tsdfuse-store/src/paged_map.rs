@@ -4,6 +4,7 @@ use std::io;
 use std::path::Path;
 use std::time::Instant;
 
+use tsdfuse::glam::DVec3;
 use tsdfuse::index::{BlockIndex, Grid, RegionIndex};
 use tsdfuse::map::Block;
 use tsdfuse::mesh::{MeshConfig, MeshSink, RegionSource, Surface, stitch};
@@ -28,6 +29,8 @@ pub struct PagedMap {
     map: VoxelMap,
     pager: Pager,
     is_read_only: bool,
+    /// What the last scan could touch.
+    reach: Option<Reach>,
     /// The message of the error that made it useless.
     broken: Option<String>,
     /// The highest memory use that [`PagedMap::over_limit`] has returned, and what it returns next.
@@ -110,6 +113,7 @@ impl PagedMap {
             pager,
             is_read_only,
             broken: None,
+            reach: None,
             told_bytes: 0,
             over_limit: None,
             paging_secs: 0.0,
@@ -207,6 +211,7 @@ impl PagedMap {
             let near = pager.within(map, &reach);
             pager.load(map, &near)
         })?;
+        self.reach = Some(reach);
         let done = integrator.integrate(&mut self.map, scan);
         self.settle(done.as_ref().map_or(&[], |done| &done.updated_blocks))?;
         Ok(done?)
@@ -241,15 +246,17 @@ impl PagedMap {
         Ok(())
     }
 
-    /// Begins to load the regions within the reach of a later scan, without waiting for them. While that scan has not
-    /// been read, the reach of the current one at the later position is a good guess ([`Integrator::reach`],
-    /// [`Reach::at`]).
+    /// Begins to load the regions that a scan like the last one would touch from another position of the sensor, without
+    /// waiting for them.
     ///
     /// # Errors
     /// [`StoreError::File`] and [`StoreError::Region`].
-    pub fn prefetch(&mut self, reach: &Reach) -> Result<()> {
+    pub fn prefetch(&mut self, position: DVec3) -> Result<()> {
+        let Some(reach) = self.reach.as_ref().map(|reach| reach.at(position)) else {
+            return Ok(());
+        };
         self.paging(|map, pager| {
-            let near = pager.within(map, reach);
+            let near = pager.within(map, &reach);
             pager.prefetch(&near)
         })
     }

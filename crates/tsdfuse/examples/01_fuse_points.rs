@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release --example 01_fuse_points`
 
+#![allow(clippy::print_stdout)] // an example says what it finds
+
 use tsdfuse::{
     Integrator, MapConfig, Patch, Pose, Scan, VoxelMap,
     glam::{DQuat, DVec3},

@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release --example 02_ask_distances`
 
+#![allow(clippy::print_stdout)] // an example says what it finds
+
 use tsdfuse::{
     Integrator, MapConfig, Pose, Raycast, Renderer, Scan, VoxelMap,
     fuse::{Distance, RaycastConfig},

@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release --example 03_follow_a_growing_mesh`
 
+#![allow(clippy::print_stdout)] // an example says what it finds
+
 use std::collections::HashMap;
 
 use tsdfuse::{

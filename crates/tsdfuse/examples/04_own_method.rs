@@ -3,6 +3,8 @@
 //!
 //! `cargo run --release --example 04_own_method`
 
+#![allow(clippy::print_stdout)] // an example says what it finds
+
 use tsdfuse::{
     Integration, Integrator, MapConfig, Pose, Reach, Scan, VoxelMap,
     fearless_simd::{Simd, f32x8, mask32x8, prelude::*},

@@ -82,3 +82,8 @@ pub use render::Renderer;
 pub use scan::Scan;
 pub use sensor::SensorModel;
 pub use trajectory::Trajectory;
+
+// The README's example is tested like the others.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -101,19 +101,19 @@ impl Trajectory {
     }
 
     /// The poses before and after a time, with their times; at the time of a pose, that pose is both.
-    pub fn neighbours(&self, time_ns: i64) -> (Option<(i64, Pose)>, Option<(i64, Pose)>) {
+    pub fn neighbours(&self, time_ns: i64) -> [Option<(i64, Pose)>; 2] {
         let side = |i: usize| Some((*self.times_ns.get(i)?, *self.poses.get(i)?));
         let after = self.times_ns.partition_point(|&t| t < time_ns);
         match side(after) {
-            Some(exact) if exact.0 == time_ns => (Some(exact), Some(exact)),
-            next => (after.checked_sub(1).and_then(side), next),
+            Some(exact) if exact.0 == time_ns => [Some(exact), Some(exact)],
+            next => [after.checked_sub(1).and_then(side), next],
         }
     }
 
     /// The pose at a time; `None` before the first pose and after the last one.
     pub fn at(&self, time_ns: i64) -> Option<Pose> {
         let ((t0, before), (t1, after)) = match self.neighbours(time_ns) {
-            (Some(before), Some(after)) => (before, after),
+            [Some(before), Some(after)] => (before, after),
             _ => return None,
         };
         if t0 == t1 {
@@ -123,8 +123,7 @@ impl Trajectory {
         Some(Interpolation::new(before, after).at(s))
     }
 
-    /// The same times with `f` of each pose: `|pose| pose * body_from_sensor`, for instance. Poses that are not finite then make
-    /// the poses between them such, too.
+    /// The trajectory with `f` applied to each pose: with `|pose| *pose * body_from_sensor`, for instance, that of a sensor.
     #[must_use]
     pub fn map(&self, f: impl FnMut(&Pose) -> Pose) -> Self {
         Self {
@@ -261,8 +260,8 @@ mod tests {
                 let want = body * body_from_sensor;
                 let got = sweep.at(secs_between(now, at));
                 // The lever moves on an arc; between two poses the sensor is taken to move straight on.
-                let steps = trajectory.neighbours(at);
-                let turn = steps.0.zip(steps.1).map_or(0.0, |(a, b)| a.1.rotation.angle_between(b.1.rotation));
+                let [before, after] = trajectory.neighbours(at);
+                let turn = before.zip(after).map_or(0.0, |(a, b)| a.1.rotation.angle_between(b.1.rotation));
                 let sagitta = 0.4 * (1.0 - (0.5 * turn).cos());
                 prop_assert!(got.translation.distance(want.translation) < 1e-6 + 1.1 * sagitta, "{got:?} {want:?}");
                 prop_assert!(got.rotation.angle_between(want.rotation) < 1e-6);

@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use common::{Voxels, assert_agrees, scan};
 use tsdfuse::{
     Integrator, MapConfig, Pose, Scan, SensorModel, VoxelMap,
-    fuse::{Caminal, CaminalConfig, Cylindrical, Depth, Kuehner, KuehnerConfig},
+    fuse::{Caminal, CaminalConfig, Cylindrical, Depth, FuseConfig, Kuehner, KuehnerConfig, Method, RoldaoForm},
     glam::{DVec3, IVec3, Vec3},
     index::{BlockIndex, voxel_at},
     scan::PoseAt,
@@ -578,6 +578,56 @@ fn caminal_is_what_its_description_says() {
             0.01,
             "caminal",
         );
+    }
+}
+
+#[test]
+fn maps_of_halves_merge_to_the_map_of_all_unless_a_method_looks_at_what_came_before() {
+    let with = |set: fn(&mut FuseConfig)| {
+        let mut config = FuseConfig::default();
+        set(&mut config);
+        config
+    };
+    let default = || FuseConfig::default();
+    let methods = [
+        (Method::Raycast, default(), true),
+        (Method::Normals, default(), true),
+        (Method::Surfels, default(), true),
+        (Method::Cylindrical, default(), true),
+        (Method::Kuehner, default(), true),
+        (Method::Patch, with(|config| config.patch.carve = false), true),
+        (
+            Method::Roldao,
+            with(|config| config.roldao.form = RoldaoForm::Streaming),
+            true,
+        ),
+        (Method::Roldao, default(), false),
+        (Method::Caminal, default(), false),
+        (Method::Depth, default(), false),
+    ];
+    for (method, config, exact) in methods {
+        let scans: Vec<Scan> = (0..4)
+            .map(|n| {
+                if method == Method::Depth {
+                    frame(n)
+                } else {
+                    sweep(n, n % 2 == 1)
+                }
+            })
+            .collect();
+        let fused = |scans: &[Scan]| {
+            let (mut map, sensor) = (VoxelMap::new(self::config()).unwrap(), lidar());
+            let mut integrator = method.build(&config, Some(&sensor));
+            scans
+                .iter()
+                .for_each(|scan| drop(integrator.integrate(&mut map, scan).unwrap()));
+            integrator.finish(&mut map).unwrap();
+            map
+        };
+        let (whole, mut half) = (fused(&scans), fused(&scans[..2]));
+        assert!(whole != half && half.block_count() > 100, "{method:?}");
+        assert_eq!(half.merge(&fused(&scans[2..])), Ok(0));
+        assert_eq!(half == whole, exact, "{method:?}");
     }
 }
 

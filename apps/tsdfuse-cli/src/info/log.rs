@@ -181,9 +181,7 @@ fn secs_between(a: &ScanRef, b: &ScanRef) -> Option<f64> {
 /// The rate of most scans: of the median step.
 fn rate_hz(scans: &[ScanRef]) -> Option<f64> {
     let steps = scans.iter().zip(scans.iter().skip(1));
-    let mut steps: Vec<f64> = steps
-        .filter_map(|(a, b)| secs_between(a, b))
-        .collect();
+    let mut steps: Vec<f64> = steps.filter_map(|(a, b)| secs_between(a, b)).collect();
     steps.sort_by(f64::total_cmp);
     let median = steps.get(steps.len() / 2)?;
     (*median > 0.0).then(|| 1.0 / median)

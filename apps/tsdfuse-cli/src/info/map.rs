@@ -69,7 +69,11 @@ impl MapInfo {
             format!("{} ({})", self.path.display(), BinaryBytes(self.file_bytes)),
         );
         if let Some([Some(done), asked]) = self.scans {
-            let more = if asked.is_some_and(|asked| done < asked) { "; tsdfuse resume goes on" } else { "" };
+            let more = if asked.is_some_and(|asked| done < asked) {
+                "; tsdfuse resume goes on"
+            } else {
+                ""
+            };
             let of = asked.map_or(String::new(), |asked| format!(" of {asked}"));
             rows.add("scans", format!("{done}{of} stored{more}"));
         }

@@ -28,8 +28,6 @@ pub(super) fn of_map(path: &Path, map: &VoxelMap) -> Result<()> {
 /// Writes a map of which only some is in memory.
 pub(super) fn of_store(path: &Path, map: &mut PagedMap) -> Result<()> {
     let volume = Volume::create(path, map.config(), &map.regions())?;
-    map.for_each_region(|map, region| {
-        anyhow::Ok(volume.region(region, map.blocks_of(region))?)
-    })?;
+    map.for_each_region(|map, region| anyhow::Ok(volume.region(region, map.blocks_of(region))?))?;
     Ok(volume.finish()?)
 }

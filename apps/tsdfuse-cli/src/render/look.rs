@@ -1,6 +1,6 @@
 //! From where a map is looked at, as it stands on the command line.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Context, Result};

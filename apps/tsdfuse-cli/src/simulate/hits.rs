@@ -18,7 +18,7 @@ pub(super) struct Hits {
 impl Hits {
     /// Adds the returns of a scan without noise.
     pub(super) fn add(&mut self, scan: &Scan) {
-        for hit in scan.points_in_world() {
+        for hit in scan.points_in_world().into_iter().flatten() {
             if self.seen.insert((hit / CELL_M).floor().as_i64vec3()) {
                 self.points.push(hit);
             }
@@ -45,10 +45,10 @@ mod tests {
         let mut hits = Hits::default();
         let scan = |points: &[[f32; 3]], x: f64| Scan {
             points: points.iter().map(|p| Vec3::from(*p)).collect(),
-            pose: Pose {
+            pose: Some(Pose {
                 translation: DVec3::X * x,
                 ..Pose::IDENTITY
-            },
+            }),
             ..Default::default()
         };
         hits.add(&scan(

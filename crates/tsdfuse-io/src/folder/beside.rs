@@ -17,9 +17,16 @@ pub(super) fn motions(path: &Path, files: &[ScanFile]) -> Result<Vec<Vec<PoseAt>
     if !present::file(path)? {
         return Ok(vec![Vec::new(); files.len()]);
     }
-    let bytes = files::read(path)?;
-    let rows: Result<Vec<_>> = text::lines(path, &bytes)?.map(|line| motion(&line)).collect();
-    poses::rows_of_scans(path, "lines", &rows?, files)
+    let rows = parse_motions(path, &files::read(path)?)?;
+    poses::rows_of_scans(path, "lines", &rows, files)
+}
+
+/// Parses `motion.txt`; `path` is for messages.
+///
+/// # Errors
+/// Names the file, the line and what is wrong.
+pub(crate) fn parse_motions(path: &Path, bytes: &[u8]) -> Result<Vec<Vec<PoseAt>>> {
+    text::lines(path, bytes)?.map(|line| motion(&line)).collect()
 }
 
 /// One line of `motion.txt`: seconds and a pose, as often as there are poses.
@@ -67,9 +74,9 @@ pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<Sensor> {
 
 /// A sensor that is called after its model.
 pub(super) fn of_model(model: Option<SensorModel>) -> Sensor {
-    let name = model.as_ref().map_or("lidar", |model| model.name.as_str());
+    let name = model.as_ref().map_or("lidar", |model| model.name.as_str()).to_owned();
     Sensor {
-        model: model.clone(),
+        model,
         ..Sensor::new(name)
     }
 }

@@ -6,7 +6,7 @@ use serde::Deserialize;
 use tsdfuse::Mesh;
 use tsdfuse::glam::{DMat4, DQuat, DVec3, Vec3};
 
-use super::{F32, U8, U32};
+use super::types::{F32, U8, U32};
 use crate::error::{Error, Result};
 
 const U16: u32 = 5123;
@@ -42,13 +42,11 @@ fn chunks(bytes: &[u8]) -> Result<(&[u8], &[u8]), String> {
     };
     let json = chunk(12, b"JSON").ok_or("its JSON is missing or truncated")?;
     let after = 20 + json.len();
-    match bytes.len() > after {
-        true => Ok((
-            json,
-            chunk(after, b"BIN\0").ok_or("its buffer is missing or truncated")?,
-        )),
-        false => Ok((json, &[])),
+    if bytes.len() <= after {
+        return Ok((json, &[]));
     }
+    let buffer = chunk(after, b"BIN\0").ok_or("its buffer is missing or truncated")?;
+    Ok((json, buffer))
 }
 
 // The parts of glTF 2.0 that triangles are made of; all else is ignored.
@@ -137,10 +135,10 @@ impl Document {
         let mut mesh = Mesh::default();
         let mut seen = vec![false; self.nodes.len()];
         let up = DMat4::from_cols_array(&[1., 0., 0., 0., 0., 0., 1., 0., 0., -1., 0., 0., 0., 0., 0., 1.]);
-        let roots = match self.scenes.is_empty() {
-            true => return Ok(mesh),
-            false => &entry(&self.scenes, "scene", self.scene.unwrap_or(0))?.nodes,
-        };
+        if self.scenes.is_empty() {
+            return Ok(mesh);
+        }
+        let roots = &entry(&self.scenes, "scene", self.scene.unwrap_or(0))?.nodes;
         let mut open: Vec<_> = roots.iter().rev().map(|&node| (node, up)).collect();
         while let Some((number, parent)) = open.pop() {
             let node = entry(&self.nodes, "node", number)?;

@@ -369,7 +369,8 @@ fn a_map_without_memory_is_not_taken_for_a_damaged_file() {
     };
     let told = "the map needs more than 0.0 MiB, its memory limit";
     let mut map = limited();
-    let reader = Reader::new("a.tsdf", saved(&self::map()).as_slice()).unwrap();
+    let file = saved(&self::map());
+    let reader = Reader::new("a.tsdf", file.as_slice()).unwrap();
     let error = reader.for_each_block(|index, block| map.insert_block(index, block));
     assert_eq!(error.unwrap_err().to_string(), format!("a.tsdf: {told}"));
     let packed = pack([(BlockIndex(IVec3::ZERO), &Block::EMPTY)]);
@@ -378,6 +379,6 @@ fn a_map_without_memory_is_not_taken_for_a_damaged_file() {
         (error.kind(), error.to_string()),
         (io::ErrorKind::OutOfMemory, told.to_owned())
     );
-    let error = repair::into(Path::new("a.tsdf"), &saved(&self::map()), |_| Ok(limited())).unwrap_err();
+    let error = repair::into(Path::new("a.tsdf"), &file, |_| Ok(limited())).unwrap_err();
     assert_eq!(error.to_string(), format!("a.tsdf: {told}"));
 }

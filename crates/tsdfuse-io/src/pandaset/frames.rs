@@ -166,18 +166,12 @@ pub(crate) fn parse_times(path: &Path, bytes: &[u8], poses: usize) -> Result<Vec
         let reason = format!("{} times, but poses.json has {poses} poses", times.len());
         return Err(Error::format(path, reason));
     }
-    match times.is_sorted_by(|a, b| a < b) {
-        true => Ok(times),
-        false => {
-            let after = times
-                .windows(2)
-                .position(|w| !matches!(w, [a, b] if a < b))
-                .unwrap_or(0)
-                + 1;
-            Err(Error::format(
-                path,
-                format!("frame {after}: its time is not after that of frame {}", after - 1),
-            ))
+    let wrong = times.windows(2).position(|w| !matches!(w, [a, b] if a < b));
+    match wrong {
+        None => Ok(times),
+        Some(before) => {
+            let reason = format!("frame {}: its time is not after that of frame {before}", before + 1);
+            Err(Error::format(path, reason))
         }
     }
 }

@@ -4,7 +4,6 @@ use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, Scan, SensorModel};
 
 use crate::error::{Error, Result};
@@ -140,7 +139,7 @@ impl Writer {
             }
         }
         match (&mut self.secs, scan.time_ns) {
-            (Some(file), Some(ns)) => writeln!(file, "{}", secs_between(0, ns)).map_err(Error::io(path)),
+            (Some(file), Some(ns)) => writeln!(file, "{}", seconds(ns)).map_err(Error::io(path)),
             _ => Ok(()),
         }
     }
@@ -148,6 +147,13 @@ impl Writer {
 
 fn create(path: &Path) -> Result<BufWriter<File>> {
     File::create(path).map(BufWriter::new).map_err(Error::io(path))
+}
+
+/// Nanoseconds as seconds, with as many decimals as they have.
+fn seconds(ns: i64) -> String {
+    let (sign, ns) = (if ns < 0 { "-" } else { "" }, ns.unsigned_abs());
+    let text = format!("{sign}{}.{:09}", ns / 1_000_000_000, ns % 1_000_000_000);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 /// The 12 numbers of a pose, each with as many digits as it takes to read the same number.

@@ -69,8 +69,7 @@ fn fused_with_little(
     let (mut evicted, mut before) = (0, paged.map_in_memory().block_count());
     for (number, scan) in (1..).zip(scans) {
         if let Some(next) = scans.get(number) {
-            let reach = integrator.reach(paged.config(), next).unwrap();
-            paged.prefetch(&reach).unwrap();
+            paged.prefetch(next.pose.unwrap().translation).unwrap();
         }
         paged.integrate(&mut *integrator, scan).unwrap();
         let after = paged.map_in_memory().block_count();

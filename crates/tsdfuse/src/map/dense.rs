@@ -30,7 +30,7 @@ impl VoxelMap {
     /// observed, take [`Self::bounds`].
     ///
     /// # Errors
-    /// [`MapError::Box`] if no point lies in the box, [`MapError::Dense`] if too many voxels for arrays do.
+    /// [`MapError::Box`] if no point lies in the box, [`MapError::Dense`] if it has more than 2³⁰ voxels or there is no memory for them.
     pub fn dense(&self, low: DVec3, high: DVec3) -> Result<Dense, MapError> {
         let (first, end) = self
             .grid()
@@ -41,14 +41,21 @@ impl VoxelMap {
         if voxels > u128::from(MAX_VOXELS) {
             return Err(MapError::Dense { voxels });
         }
+        let filled = |value: f32| {
+            let mut all = Vec::new();
+            let room = all.try_reserve_exact(voxels as usize);
+            room.map_err(|_| MapError::Dense { voxels })?;
+            all.resize(voxels as usize, value);
+            Ok::<_, MapError>(all)
+        };
         let shape = [size.z, size.y, size.x].map(|n| n as usize);
         let mut dense = Dense {
             first,
             origin: self.grid().center(first),
             voxel_size_m: self.config.voxel_size_m,
             shape,
-            distance_m: vec![f32::NAN; voxels as usize],
-            weight: vec![0.0; voxels as usize],
+            distance_m: filled(f32::NAN)?,
+            weight: filled(0.0)?,
         };
         let truncation_m = self.config.truncation_m as f32;
         let row = shape[2].max(1);

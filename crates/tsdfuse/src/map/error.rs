@@ -73,7 +73,7 @@ pub enum MapError {
         /// The upper one.
         high: DVec3,
     },
-    /// Arrays have an end.
+    /// Arrays are limited, and so is memory.
     #[error("a box of {voxels} voxels is too large for arrays; take it in parts")]
     Dense {
         /// How many it has.

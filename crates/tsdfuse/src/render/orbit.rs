@@ -51,7 +51,9 @@ fn dense(renderer: &Renderer) -> Vec<BlockIndex> {
     blocks.sort_unstable_by_key(|block| RegionIndex::of(*block));
     let regions = || blocks.chunk_by(|a, b| RegionIndex::of(*a) == RegionIndex::of(*b));
     // Half of all blocks lie in regions that hold as many blocks, or more.
-    let mut counts: Vec<usize> = regions().flat_map(|region| std::iter::repeat_n(region.len(), region.len())).collect();
+    let mut counts: Vec<usize> = regions()
+        .flat_map(|region| std::iter::repeat_n(region.len(), region.len()))
+        .collect();
     counts.sort_unstable();
     let median = counts.get(counts.len() / 2).copied().unwrap_or_default();
     let kept = regions().filter(|region| DENSE * region.len() >= median);

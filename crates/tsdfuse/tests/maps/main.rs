@@ -7,7 +7,6 @@ mod common;
 mod crop;
 mod memory;
 mod query;
-mod memory;
 mod reach;
 mod region;
 mod warp;
