@@ -125,7 +125,7 @@ impl<'a> Workplace<'a> {
             watch(Progress::Step);
         }
         if let (true, Some(Failed { name, reason })) = (rows.is_empty(), failed.first()) {
-            return Err(Error::failed(format_args!("no method could be used; {name}: {reason}")));
+            return Err(Error::failed(format_args!("no method could be run; {name}: {reason}")));
         }
         for _ in 1..*runs {
             for (row, reports) in &mut rows {

@@ -172,9 +172,9 @@ impl Search<'_> {
             if scored.is_empty() {
                 return Err(Error::Failed(if out_of_time {
                     let budget = self.asked.budget_secs;
-                    format!("time was up before anything was measured: --budget {budget} is too short")
+                    format!("time ran out before anything was measured: increase --budget {budget}")
                 } else {
-                    "no method could be used".to_owned()
+                    "no method could be run".to_owned()
                 }));
             }
             let round = Tuned {

@@ -27,7 +27,7 @@ fn table(results: &LongDriveResults) -> String {
     let secs: Vec<f64> = passes.iter().flat_map(|pass| &pass.scan_secs).copied().collect();
     let ms = |secs: &[f64]| 1e3 * median(secs.iter().copied());
     let mut text = format!(
-        "{}, {} thread{}, {}, {}\n{} scans of a {SENSOR} in a simulated street that comes again and again, {}, voxels of {} m\n\n\
+        "{}, {} thread{}, {}, {}\n{} scans of a {SENSOR} in a repeating simulated street, {}, voxels of {} m\n\n\
          ms a scan, medians: first ten {:.2}, first pass {:.2}, last {PASS} {:.2}; slowest {:.2}\n",
         machine.processor.as_deref().unwrap_or(&machine.system),
         machine.threads,
@@ -107,9 +107,9 @@ impl Stored {
         );
         if let Some(paging) = &self.paging {
             text += &format!(
-                "blocks in memory: {} at most, {} wanted; file: {} ({} per km); paging {:.1} s, commits {:.1} s\n",
+                "blocks in memory: peak {}, limit {}; file: {} ({} per km); paging {:.1} s, commits {:.1} s\n",
                 binary(paging.most_bytes),
-                paging.limit_bytes.map_or_else(|| "all".to_owned(), binary),
+                paging.limit_bytes.map_or_else(|| "none".to_owned(), binary),
                 binary(paging.store_bytes as usize),
                 binary((paging.store_bytes as f64 / length_km) as usize),
                 paging.paging_seconds,
