@@ -14,7 +14,8 @@ use crate::output::{command_line, print, print_json};
 
 const EXAMPLES: &str = "\
 A run is what `tsdfuse fuse` does, from files to a mesh in a temporary file. Threads that fuse and threads that read ahead share \
-the cores. Beside each method stands what memory allows on as many threads, measured just before.
+the cores. For comparison, the memory bandwidth with the same number of \
+threads is measured just before.
 
 Examples:
   tsdfuse bench
@@ -24,28 +25,28 @@ Examples:
   tsdfuse bench --long-drive 16000 --memory 512M
   tsdfuse bench --device gpu --methods raycast,patch";
 
-/// Measure this machine: seconds of each stage, and how close to the memory's limit.
+/// Measure this machine: time of each stage, compared with the memory bandwidth.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES, mut_arg("log", |log| log.required(false).default_value(STREET)
     .hide_default_value(true).help(format!("The log [default: {STREET}, the same everywhere]"))))]
 pub(crate) struct Args {
     #[arg(long, visible_alias = "method", value_name = "NAMES", value_delimiter = ',',
-        help = format!("Which methods: all, or some of {} [default: as with fuse]", Form::names().join(", ")))]
+        help = format!("Methods to measure: all, or some of {} [default: as with fuse]", Form::names().join(", ")))]
     methods: Vec<String>,
-    /// Runs of each method.
+    /// Number of runs per method.
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     runs: u32,
     /// Print the results as JSON instead of tables.
     #[arg(long)]
     json: bool,
-    /// Drive on and on through a simulated street instead, N scans of a VLP-16, and tell whether a scan takes longer as the map
-    /// grows. Voxels are of 12.5 cm unless --voxel-size or --set says otherwise.
+    /// Instead, drive N scans (VLP-16) through a repeating simulated street, and check whether scans take longer as the map
+    /// grows. Voxels are 12.5 cm unless set otherwise.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(20..=1_000_000))]
     long_drive: Option<u32>,
-    /// Drive with no more blocks of the map in memory than this; then extract the surface of all of it, and tell how much file it takes.
+    /// With --long-drive: limit the memory for blocks; then mesh the whole map and report the size of its file.
     #[arg(long, value_name = "SIZE", requires = "long_drive")]
     memory: Option<Memory>,
-    /// What is measured; of a GPU, fusing, meshing, rendering and each kernel.
+    /// Measure the CPU, or a GPU: fusing, meshing, rendering and each kernel.
     #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
     device: Device,
     #[command(flatten)]
@@ -125,7 +126,7 @@ mod gpu {
     use crate::exit::{Outcome, Usage};
 
     pub(super) fn run(_: &Bench, _: Option<&str>, _: bool, _: &mut tsdfuse_evaluate::Watch<'_>) -> Result<Outcome> {
-        Err(Usage::new("this build has no part for GPUs: it was made without the feature gpu").into())
+        Err(Usage::new("this build does not support GPUs (built without the feature gpu)").into())
     }
 }
 

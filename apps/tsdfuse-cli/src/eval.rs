@@ -27,40 +27,40 @@ Examples:
 
 What each figure and protocol means is written in docs/evaluation.md.";
 
-/// Measure a mesh against a cloud, a mesh or all scans of a log.
+/// Compare a mesh with a point cloud, another mesh or all scans of a log.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
     /// The mesh, .ply, .obj or .glb.
     mesh: PathBuf,
-    /// What it is compared with: a cloud (.ply, .pcd), a mesh (.ply, .obj, .glb), or a log, all of whose points count.
+    /// The reference: a cloud (.ply, .pcd), a mesh (.ply, .obj, .glb), or a log (all of its points).
     #[arg(long, value_name = "FILE|LOG")]
     reference: PathBuf,
-    /// Take each N-th scan of the log.
+    /// Use only every N-th scan of the log.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
-    /// The log's sensor: one of several.
+    /// The sensor to use: one of several in the log.
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
-    /// Ask for completeness only at the points of this cloud: what a sensor saw of the reference.
+    /// Measure completeness only at the points of this cloud: the part of the reference that a sensor saw.
     #[arg(long, value_name = "FILE")]
     observed: Option<PathBuf>,
-    /// By which rules.
+    /// The rules of measurement.
     #[arg(long, value_name = "NAME", default_value = "surface", value_parser = PossibleValuesParser::new(Protocol::NAMES))]
     protocol: String,
-    /// At which distances precision, completeness and F-score are taken, metres [default: the protocol's].
+    /// Distance thresholds of precision, completeness and F-score, metres [default: the protocol's].
     #[arg(long, value_name = "M,M", value_delimiter = ',')]
     thresholds: Vec<f64>,
     /// Compare only what lies in this box: two corners, metres.
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", allow_hyphen_values = true)]
     crop: Option<Crop>,
-    /// How many points of the mesh are measured [default: the protocol's].
+    /// Number of samples on the mesh [default: the protocol's].
     #[arg(long, value_name = "N")]
     samples: Option<usize>,
-    /// Write the mesh in the colours of its distances, .ply or .glb: dark blue at 0, yellow from --max-error on.
+    /// Write the mesh coloured by error (.ply, .glb): dark blue at 0, yellow at --max-error and beyond.
     #[arg(long, value_name = "FILE")]
     colored: Option<PathBuf>,
-    /// The distance of the last colour, metres [default: the largest threshold].
+    /// The error shown in yellow, metres [default: the largest threshold].
     #[arg(long, value_name = "M", requires = "colored")]
     max_error: Option<f64>,
     /// Print JSON.
@@ -82,7 +82,7 @@ impl FromStr for Crop {
                 let [a, b] = [DVec3::new(a, b, c), DVec3::new(d, e, f)];
                 Ok(Self([a.min(b), a.max(b)]))
             }
-            _ => Err("six numbers are wanted, as in -20,-20,-3,20,20,10".to_owned()),
+            _ => Err("expected six numbers, as in -20,-20,-3,20,20,10".to_owned()),
         }
     }
 }

@@ -29,58 +29,58 @@ Examples:
   tsdfuse evaluate kitti/sequences/00 --scans 0..200 --method-set raycast:map.voxel_size_m=0.1,map.truncation_m=0.3
   tsdfuse evaluate kitti/sequences/00 --tune --budget 600";
 
-/// Compare methods on a log: error, completeness, held-out scans, speed and memory, as tables and a report with pictures.
+/// Compare methods on a log: error, completeness, held-out scans, speed and memory, as tables and an illustrated report.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
     #[arg(long, value_name = "NAMES", value_delimiter = ',',
-        help = format!("Which methods: all, or some of {} [default: all, or none with --method-set]", Form::names().join(", ")))]
+        help = format!("Methods to compare: all, or some of {} [default: all, or none with --method-set]", Form::names().join(", ")))]
     methods: Vec<String>,
-    /// A method with settings of its own: METHOD:KEY=VALUE[,KEY=VALUE].
+    /// Also compare a method with these settings: METHOD:KEY=VALUE[,KEY=VALUE].
     #[arg(long, value_name = "SET")]
     method_set: Vec<String>,
-    /// The folder for report.html, table.md, results.json and methods.png.
+    /// Write report.html, table.md, results.json and methods.png to this folder.
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Print the results as JSON on standard output instead of tables.
     #[arg(long)]
     json: bool,
-    /// Every K-th scan is held out; 0: none [default: 10, or fewer where there are fewer scans].
+    /// Hold out the middle one of every K scans; 0: none [default: 10, or less for short logs].
     #[arg(long, value_name = "K")]
     hold_out: Option<u32>,
     #[arg(long, value_name = "M", help = format!(
-        "Farther from its return than this, surface is another surface [default: {}, or {DEPTH_CAMERA_TRUNCATION_M} for depth cameras]",
+        "Largest distance between a held-out return and its surface, metres [default: {}, or {DEPTH_CAMERA_TRUNCATION_M} for depth cameras]",
         MapConfig::default().truncation_m))]
     margin: Option<f64>,
     /// What meshes are compared with: a mesh or a cloud (.ply), or a log for the points of its scans.
     #[arg(long, value_name = "FILE")]
     reference: Option<PathBuf>,
-    /// Where points of scans are the reference: only each N-th scan.
+    /// If scan points are the reference, use only every N-th scan.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
-    /// How meshes are compared [default: surface with a mesh, thesis with points as the reference].
+    /// The rules of measurement [default: surface if the reference is a mesh, thesis if it is points].
     #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(Protocol::NAMES))]
     protocol: Option<String>,
-    /// Samples on each mesh [default: the protocol's].
+    /// Number of samples on each mesh [default: the protocol's].
     #[arg(long, value_name = "N")]
     samples: Option<usize>,
-    /// Runs of each method, whose median speed counts; 1 is quicker, but a single time is noisy.
+    /// Number of runs per method; the median speed is shown. A single run is quicker, but its speed is noisy.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     runs: u32,
-    /// A picture's place and what is in its middle, world, metres; more than one may be given [default: from above and twice from
-    /// the sensor].
+    /// Camera position and target of a picture, world frame, metres; may be repeated [default: from above and twice from the
+    /// sensor].
     #[arg(long, value_name = "X,Y,Z,X,Y,Z", value_parser = parse_view, allow_hyphen_values = true)]
     view: Vec<[DVec3; 2]>,
     /// The error at the bright end of the colours, metres.
     #[arg(long, value_name = "M", default_value_t = 0.05)]
     max_error: f64,
-    /// Keep the meshes, as PLY, in the folder of the results.
+    /// Keep the meshes (.ply) in the output folder.
     #[arg(long, requires = "output")]
     keep_meshes: bool,
     /// Search method, voxel size and truncation by held-out error instead, and print the command to use.
     #[arg(long)]
     tune: bool,
-    /// How long the search may take, seconds.
+    /// Time limit of the search, seconds.
     #[arg(long, value_name = "SECS", default_value_t = 300.0, requires = "tune")]
     budget: f64,
     #[command(flatten)]
@@ -140,7 +140,7 @@ fn tune(args: &Args, forms: Vec<Form>) -> Result<Outcome> {
     let found = tuning.run(&mut |p| bars.show(p)).map_err(told)?;
     for skipped in &found.skipped_scans {
         say(format_args!(
-            "tsdfuse: warning: {} is skipped: {}",
+            "tsdfuse: warning: skipped {}: {}",
             skipped.name, skipped.reason
         ));
     }
@@ -186,12 +186,12 @@ impl Args {
 }
 
 fn parse_view(text: &str) -> Result<[DVec3; 2], String> {
-    let wanted = || "six numbers are wanted: the camera's x,y,z and those of what it looks at".to_owned();
+    let wanted = || "expected six numbers: x,y,z of the camera, and those of its target".to_owned();
     let third_comma = text.match_indices(',').nth(2).ok_or_else(wanted)?.0;
     let [from, to] = [&text[..third_comma], &text[third_comma + 1..]].map(parse_triple);
     let view = [from.map_err(|_| wanted())?, to.map_err(|_| wanted())?];
     if view[0] == view[1] {
-        return Err("the camera is where it looks at".to_owned());
+        return Err("the camera is at its target".to_owned());
     }
     Ok(view)
 }

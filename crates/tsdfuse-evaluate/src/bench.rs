@@ -3,6 +3,7 @@
 mod changes;
 mod compare;
 mod drive;
+mod drive_table;
 #[cfg(feature = "gpu")]
 mod gpu;
 mod limits;

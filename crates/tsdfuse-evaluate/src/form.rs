@@ -58,7 +58,7 @@ impl Form {
     fn parse(text: &str) -> Result<Self> {
         let wanted = || {
             Error::config(format_args!(
-                "--method-set {text}: METHOD:KEY=VALUE[,KEY=VALUE] is wanted, as in raycast:raycast.distance=projective"
+                "--method-set {text}: expected METHOD:KEY=VALUE[,KEY=VALUE], as in raycast:raycast.distance=projective"
             ))
         };
         let (method, settings) = text.split_once(':').ok_or_else(wanted)?;
@@ -78,7 +78,7 @@ impl Form {
     /// names, and so do two empty lists.
     ///
     /// # Errors
-    /// [`Error::Config`] for an unknown name, and for a form that is asked for twice.
+    /// [`Error::Config`] for an unknown name, and for a form that is listed twice.
     pub fn chosen<T: AsRef<str>>(names: &[T], written_out: &[T]) -> Result<Vec<Self>> {
         let mut names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
         if names.is_empty() && written_out.is_empty() {
@@ -98,7 +98,7 @@ impl Form {
             chosen.push(Self::parse(text.as_ref())?);
         }
         match (1..chosen.len()).find(|&i| chosen[..i].contains(&chosen[i])) {
-            Some(twice) => Err(Error::config(format_args!("{} is asked for twice", chosen[twice].name))),
+            Some(twice) => Err(Error::config(format_args!("{} is listed twice", chosen[twice].name))),
             None => Ok(chosen),
         }
     }
@@ -114,8 +114,8 @@ impl Form {
         Ok(settings)
     }
 
-    /// Its name as the name of a file.
-    pub fn file_stem(&self) -> String {
+    /// The file that its mesh is kept in.
+    pub fn mesh_name(&self) -> String {
         let keep = |c: char| {
             if c.is_ascii_alphanumeric() || "-.=".contains(c) {
                 c
@@ -123,7 +123,8 @@ impl Form {
                 '_'
             }
         };
-        self.name.chars().map(keep).collect()
+        let stem: String = self.name.chars().map(keep).collect();
+        stem + ".ply"
     }
 }
 
@@ -149,7 +150,10 @@ mod tests {
         assert_eq!(chosen(&[], &[written]).unwrap(), [written]);
         assert_eq!(chosen(&["surfel"], &[written]).unwrap(), ["surfel", written]);
         let form = Form::parse(written).unwrap();
-        assert_eq!(form.file_stem(), "raycast_raycast.distance=projective_map.max_weight=9");
+        assert_eq!(
+            form.mesh_name(),
+            "raycast_raycast.distance=projective_map.max_weight=9.ply"
+        );
     }
 
     #[test]
@@ -179,12 +183,12 @@ mod tests {
             "{told}"
         );
         let wrong = |text: &str| chosen(&[], &[text]).unwrap_err();
-        assert!(wrong("raycast").contains("METHOD:KEY=VALUE[,KEY=VALUE] is wanted"));
-        assert!(wrong("raycast:x").contains("is wanted"));
+        assert!(wrong("raycast").contains("expected METHOD:KEY=VALUE[,KEY=VALUE]"));
+        assert!(wrong("raycast:x").contains("expected METHOD"));
         assert!(wrong("magic:a=b").contains("--method-set magic:a=b: no method magic"));
         assert_eq!(
             chosen(&["surfel", "surfel"], &[]).unwrap_err(),
-            "surfel is asked for twice"
+            "surfel is listed twice"
         );
     }
 }

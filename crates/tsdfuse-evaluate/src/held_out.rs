@@ -78,7 +78,7 @@ pub(crate) fn selection(asked: &Selection, hold_out: Option<usize>, every: usize
         Some(0) => return Ok(all),
         Some(1) => {
             return Err(Error::config(
-                "--hold-out 1 would hold out every scan; 2 or more, or 0 for none, is wanted",
+                "--hold-out 1 would hold out every scan; expected 2 or more, or 0 for none",
             ));
         }
         Some(every) => every,

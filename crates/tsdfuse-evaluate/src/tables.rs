@@ -48,7 +48,7 @@ const DENSE: [Column; 6] = [
     column("F", More, 4, |r| {
         Some(r.surface.dense.as_ref()?.measures.thresholds.first()?.f_score)
     }),
-    column("share of the mesh", Neither, 3, |r| {
+    column("fraction of the mesh", Neither, 3, |r| {
         Some(r.surface.dense.as_ref()?.share_of_mesh)
     }),
 ];
@@ -106,7 +106,7 @@ pub fn of(results: &Results) -> Vec<Table> {
         "Distance to the reference",
         format!(
             "Mesh of all {} scans → {}; protocol {}, {} samples. Hausdorff: the largest distance, one-sided. Back: from the \
-             reference's points to the mesh.",
+             reference points to the mesh.",
             results.dataset.scans, reference.words, protocol.name, protocol.samples
         ),
         &DISTANCE,
@@ -131,7 +131,7 @@ pub fn of(results: &Results) -> Vec<Table> {
     tables.push(Table::new(
         "Completeness",
         format!(
-            "Shares within {}: precision of the mesh's samples, complete of the reference's points, F their harmonic mean.",
+            "Fractions within {}: precision of the mesh samples, completeness of the reference points, F their harmonic mean.",
             within.join(", then within ")
         ),
         &SHARES[..(3 * within.len()).min(SHARES.len())],
@@ -144,9 +144,9 @@ pub fn of(results: &Results) -> Vec<Table> {
         tables.push(Table::new(
             "Held-out scans",
             format!(
-                "Map without one of {every} scans; the {} returns of these {} along their own rays. Hit: surface within {} m of \
-                 the return; false surface: nearer than that; missing: none up to that. Errors are |Δr| of the hits; capped: the \
-                 mean over all returns, where false and missing surface count as {} m.",
+                "Map without one of every {every} scans; the {} returns of those {} scans are compared along their own rays. Hit: \
+                 surface within {} m of the return; false surface: nearer; missing: none up to that range. Errors are |Δr| of the \
+                 hits; capped: mean over all returns, where false and missing surface count as {} m.",
                 first.returns, results.dataset.held_out_scans, first.margin_m, first.margin_m
             ),
             &HELD_OUT,
@@ -158,14 +158,14 @@ pub fn of(results: &Results) -> Vec<Table> {
     let mut speed = Table::new(
         "Speed and memory",
         format!(
-            "{}, {} threads, {}. Scans/s: 1 / median of prepare + fuse, reading in the background; {}. Peak: of the whole \
-             process with its mesh. Fused: share of the valid returns.",
+            "{}, {} threads, {}. Scans/s: 1 / median of prepare + fuse, with reading in the background; {}. Peak: the whole \
+             process, including its mesh. Fused: fraction of the valid returns.",
             machine.processor.as_deref().unwrap_or(&machine.system),
             machine.threads,
             machine.date,
             match runs {
                 1 => "1 run".to_owned(),
-                _ => format!("the median of {runs} runs, methods taking turns (and the range)"),
+                _ => format!("median (and range) of {runs} runs, methods taking turns"),
             },
         ),
         &SPEED,

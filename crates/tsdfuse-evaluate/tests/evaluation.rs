@@ -112,7 +112,7 @@ fn without_any_method_that_can_be_used_the_reason_is_told() {
     };
     let found = evaluation(log.path(), &["raycast", "normals"]).run(&mut broken, &mut |_| {});
     let told = found.unwrap_err().to_string();
-    assert_eq!(told, "no method could be used; raycast: on purpose");
+    assert_eq!(told, "no method could be run; raycast: on purpose");
     assert_eq!(calls.get(), 2);
     // Wrong options are found before anything is run.
     let wrong = Evaluation {
