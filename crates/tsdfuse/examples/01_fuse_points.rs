@@ -72,3 +72,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     assert!(mesh.triangles.len() > 10_000 && mean < 0.002 && worst < 0.05);
     Ok(())
 }
+
+#[test]
+fn it_runs() -> Result<(), Box<dyn std::error::Error>> {
+    main()
+}

@@ -67,3 +67,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     assert!((f64::from(hit.range_m) - 2.0 * 1.04f64.sqrt()).abs() < 0.01);
     Ok(())
 }
+
+#[test]
+fn it_runs() -> Result<(), Box<dyn std::error::Error>> {
+    main()
+}

@@ -53,3 +53,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     assert!(whole.triangles.len() > 5000);
     Ok(())
 }
+
+#[test]
+fn it_runs() -> Result<(), Box<dyn std::error::Error>> {
+    main()
+}

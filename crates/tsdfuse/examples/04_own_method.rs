@@ -129,3 +129,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     assert!((near.distance_m - 0.05).abs() < 0.01, "{near:?}");
     Ok(())
 }
+
+#[test]
+fn it_runs() -> Result<(), Box<dyn std::error::Error>> {
+    main()
+}
