@@ -17,21 +17,21 @@ use tsdfuse_run::{Input, Settings};
 /// The log and the settings.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LogArgs {
-    /// The log; its format (PandaSet, KITTI, a plain folder, RGB-D, ...) is recognised.
+    /// The log to read; its format (PandaSet, KITTI, plain folder, RGB-D, ...) is detected.
     #[arg(value_name = "LOG")]
     pub(crate) log: PathBuf,
     #[arg(long, value_name = "M",
-        help = format!("Edge of a voxel, metres [default: {}, or {DEPTH_CAMERA_VOXEL_SIZE_M} for depth cameras]",
+        help = format!("Voxel size, metres [default: {}, or {DEPTH_CAMERA_VOXEL_SIZE_M} for depth cameras]",
             MapConfig::default().voxel_size_m))]
     pub(crate) voxel_size: Option<f64>,
     #[arg(long, value_name = "M",
-        help = format!("Half the width of the band around the surface, metres [default: {}, or {DEPTH_CAMERA_TRUNCATION_M} for depth cameras]",
+        help = format!("Truncation distance (half the width of the band around the surface), metres [default: {}, or {DEPTH_CAMERA_TRUNCATION_M} for depth cameras]",
             MapConfig::default().truncation_m))]
     pub(crate) truncation: Option<f64>,
-    /// Which scans to fuse, counted from 0, TO excluded; every STEP-th of them [default: all].
+    /// Fuse only these scans, counted from 0, TO excluded; every STEP-th of them [default: all].
     #[arg(long, value_name = "FROM..TO[:STEP]")]
     pub(crate) scans: Option<Selection>,
-    /// Poses to use instead of the log's own (KITTI or TUM text).
+    /// Use these poses instead of the log's own (KITTI or TUM text).
     #[arg(long, value_name = "FILE")]
     pub(crate) poses: Option<PathBuf>,
     /// The sensor: one of several in the log (several with commas are fused together), or the model of the only one
@@ -45,22 +45,22 @@ pub(crate) struct LogArgs {
         help = format!("Drop returns farther than this, metres [default: the sensor's, {DEPTH_CAMERA_MAX_RANGE_M} for depth cameras, or {}]",
             RangeLimits::default().max_range_m))]
     pub(crate) max_range: Option<f64>,
-    /// Threads; their number does not change the result [default: one for each core].
+    /// Number of threads; does not change the result [default: one for each core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(crate) threads: Option<u16>,
     #[arg(
         long,
         value_name = "W",
-        help = format!("Voxels of less weight do not become surface [default: {}]", MeshConfig::default().min_weight)
+        help = format!("Extract no surface from voxels with less weight than this [default: {}]", MeshConfig::default().min_weight)
     )]
     pub(crate) min_weight: Option<f64>,
     /// Read settings from a TOML file.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// Set anything that a --config file can set, for instance raycast.distance=projective.
+    /// Set one key of the configuration, for instance raycast.distance=projective.
     #[arg(long, value_name = "KEY=VALUE")]
     pub(crate) set: Vec<String>,
-    /// Skip scans that cannot be used; they are named, and the exit code is 3.
+    /// Skip scans that cannot be used; they are listed, and the exit code is 3.
     #[arg(long)]
     pub(crate) skip_bad: bool,
 }

@@ -11,8 +11,7 @@ use crate::progress::say;
 
 /// What the exit codes mean, for `--help`.
 pub(crate) const CODES: &str = "\
-Exit codes: 0 the result is complete, 1 something failed, 2 the command line or the \
-configuration is wrong, 3 the result is there but lacks what was named: scans that were skipped, blocks that were lost.";
+Exit codes: 0 complete, 1 failed, 2 wrong command line or configuration, 3 finished, but incomplete: scans were skipped or blocks lost, as the messages say.";
 
 /// How a run that did not fail ended.
 #[derive(Clone, Copy, Debug, PartialEq)]

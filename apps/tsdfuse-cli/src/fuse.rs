@@ -24,49 +24,49 @@ Examples:
   tsdfuse fuse drive -o drive.ply --memory 2G --store drive.store
   tsdfuse fuse street -o street.ply --config run.toml --set raycast.distance=projective
 
-Settings: defaults < --config < --set < flags. A report holds all of them.
-Ctrl-C stops after the scan that is being fused, and writes what there is; twice ends at once.";
+Settings: defaults < the log's suggestions < --config < --set < flags. A report records the resolved settings.
+Ctrl-C stops after the current scan and writes the result so far; a second Ctrl-C exits at once.";
 
 /// Fuse scans into a map and extract its surface.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES, group(ArgGroup::new("result").args(["output", "save_map", "preview", "store"]).required(true).multiple(true)))]
 pub(crate) struct Args {
-    /// The mesh to write, .ply, .glb or .obj; NAME/tileset.json in a new folder for 3D Tiles; `-` writes PLY to standard output.
+    /// Write the mesh: .ply, .glb or .obj; NAME/tileset.json for 3D Tiles in a new folder; `-` for PLY on standard output.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Also write the mesh so far to --output after every N scans, for a viewer that reads it again and again.
+    /// Also write the mesh so far to --output after every N scans, for a viewer that reloads it.
     #[arg(long, value_name = "N", requires = "output", value_parser = clap::value_parser!(u32).range(1..))]
     mesh_every: Option<u32>,
-    /// Save the map, for `tsdfuse mesh` and `tsdfuse render`; --output may then be missing.
+    /// Save the map, for `tsdfuse mesh` and `tsdfuse render`; --output is then optional.
     #[arg(long, value_name = "FILE")]
     save_map: Option<PathBuf>,
-    /// Continue a saved map, with its voxels.
+    /// Continue a saved map, with its voxel size and truncation.
     #[arg(long, value_name = "FILE")]
     load_map: Option<PathBuf>,
-    /// Limit the memory for blocks of the map (512M, 8G, ...); the others wait in a file. The map is the same.
+    /// Limit the memory for blocks of the map (512M, 8G, ...); the rest is paged to a file. The map has the same bits.
     #[arg(long, value_name = "SIZE")]
     memory: Option<Memory>,
-    /// Keep the map in this file as it grows: after a crash `tsdfuse resume FILE` goes on.
+    /// Keep the map in this file as it grows; after a crash, `tsdfuse resume FILE` continues.
     #[arg(long, value_name = "FILE")]
     store: Option<PathBuf>,
-    /// How often the store is committed.
+    /// Commit the store after every SCANS scans.
     #[arg(long, value_name = "SCANS", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
     commit_every: u32,
-    /// A picture of the whole result, .png.
+    /// Write a picture of the whole result (.png).
     #[arg(long, value_name = "FILE")]
     preview: Option<PathBuf>,
     #[arg(long, value_parser = PossibleValuesParser::new(Method::ALL.iter().map(|m| m.name())),
-        help = format!("How scans are fused [default: {}, or depth for depth cameras]", Method::default().name()))]
+        help = format!("The fusion method [default: {}, or depth for depth cameras]", Method::default().name()))]
     method: Option<String>,
-    /// What fuses: the CPU, or a GPU (of several, the one whose name contains NAME).
+    /// Fuse on the CPU or a GPU (gpu:NAME: the one whose name contains NAME).
     #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
     device: Device,
     #[command(flatten)]
     log: LogArgs,
-    /// Leave out the middle one of each K scans, to see how well the others foretell it (`tsdfuse evaluate` does).
+    /// Leave out the middle one of every K scans, to test how well the map predicts it (see `tsdfuse evaluate`).
     #[arg(long, value_name = "K", value_parser = hold_out_range())]
     hold_out: Option<u32>,
-    /// Write what was done, with the configuration, counts and times of each scan, as JSON.
+    /// Write a JSON report: configuration, and counts and times of each scan.
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
     /// Print the report on standard output.

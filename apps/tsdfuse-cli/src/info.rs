@@ -19,13 +19,13 @@ Examples:
   tsdfuse info kitti/sequences/00 --sample 200 --json
   tsdfuse info street.tsdf";
 
-/// Say what lies in a log (format, sensor, scans, points, extent), in a saved map or in a store.
+/// Describe a log (format, sensor, scans, points, extent), a saved map or a store.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
     /// The log, or the file of a saved map or a store.
     path: PathBuf,
-    /// How many scans are read, spread evenly over all.
+    /// Read this many scans, spread evenly over the log.
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     sample: u32,
     /// Print JSON.

@@ -22,7 +22,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-/// Dense 3D reconstruction from LiDAR: scans and poses in, a surface out.
+/// Dense 3D reconstruction from LiDAR: scans with poses in, a surface out.
 #[derive(Debug, Parser)]
 #[command(name = "tsdfuse", version, after_help = exit::CODES, arg_required_else_help = true, max_term_width = 110)]
 struct Cli {

@@ -34,9 +34,9 @@ Examples:
   tsdfuse map export street.tsdf -o street.npz
   tsdfuse map export drive.store -o drive.zarr
 
-What a map holds: tsdfuse info.";
+`tsdfuse info MAP` describes a map.";
 
-/// Merge, crop, resample, move, repair and export saved maps.
+/// Merge, crop, resample, transform, repair and export saved maps.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
@@ -55,8 +55,7 @@ enum Command {
 /// What makes a map of maps.
 #[derive(Debug, Subcommand)]
 enum Operation {
-    /// Add maps of one grid: what fusing all their scans gives, bit for bit, where weights stay below their limit and nothing
-    /// was erased (by patch).
+    /// Add maps with the same grid. The result equals fusing all their scans, bit for bit, if no weight reaches its limit and the method allows it (not: patch with patch.carve, depth, caminal, roldao as published).
     Merge {
         /// The maps.
         #[arg(num_args = 2.., required = true)]
@@ -81,17 +80,17 @@ enum Operation {
     Resample {
         /// The map.
         map: PathBuf,
-        /// Edge of a voxel, metres.
+        /// Voxel size, metres.
         #[arg(long, value_name = "M")]
         voxel_size: f64,
         #[command(flatten)]
         out: Out,
     },
-    /// Turn and then move a map: exactly by whole voxels and quarter turns, else by resampling.
+    /// Rotate, then translate a map: exact for whole voxels and quarter turns, otherwise resampled.
     Transform {
         /// The map.
         map: PathBuf,
-        /// About x, then y, then z, degrees.
+        /// Rotation about x, then y, then z, degrees.
         #[arg(long, value_name = "ROLL,PITCH,YAW", value_parser = parse_triple, allow_hyphen_values = true, default_value = "0,0,0")]
         rotation: DVec3,
         /// Metres.
@@ -100,7 +99,7 @@ enum Operation {
         #[command(flatten)]
         out: Out,
     },
-    /// Recover what is intact of a damaged map.
+    /// Recover the intact parts of a damaged map.
     Repair {
         /// The map.
         map: PathBuf,
@@ -115,7 +114,7 @@ struct Out {
     /// The map to write.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Print what was done as JSON.
+    /// Print a JSON report.
     #[arg(long)]
     json: bool,
 }
@@ -316,11 +315,11 @@ impl Done {
     fn say(&self) -> bool {
         if let Some(limited) = self.limited_voxels.filter(|&n| n > 0) {
             note(format_args!(
-                "{limited} voxels reached max_weight: they are the mean of all maps, but not what fusing all scans would give to the bit"
+                "{limited} voxels reached max_weight: they hold the mean of all maps, not the exact bits of fusing all scans"
             ));
         }
         match self.exact {
-            Some(true) => say(format_args!("moved by whole voxels: no bit of any voxel changed")),
+            Some(true) => say(format_args!("moved by whole voxels: all voxels are unchanged")),
             Some(false) => note("moved between voxels: the map was resampled"),
             None => {}
         }

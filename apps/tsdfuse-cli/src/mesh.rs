@@ -24,18 +24,18 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// The map, saved by `tsdfuse fuse --save-map`, or the store of `tsdfuse fuse --store`.
+    /// A map saved with `tsdfuse fuse --save-map`, or a store.
     map: PathBuf,
     /// The mesh to write, .ply, .glb or .obj; a new folder's NAME/tileset.json for 3D Tiles; `-` writes PLY to standard output.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Voxels of less weight do not become surface.
+    /// Extract no surface from voxels with less weight than this.
     #[arg(long, value_name = "W", default_value_t = MeshConfig::default().min_weight)]
     min_weight: f32,
-    /// What extracts it.
+    /// Extract on the CPU or a GPU.
     #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
     device: Device,
-    /// Print what was done as JSON.
+    /// Print a JSON report.
     #[arg(long)]
     json: bool,
 }

@@ -25,13 +25,13 @@ use crate::terminal;
 use look::{Look, LookArgs};
 
 const MORE_HELP: &str = "\
-Camera frame: x forward, y left, z up. YAW turns left, PITCH up, ROLL the right side down, in degrees. A pose file holds \
+Camera frame: x forward, y left, z up. Positive YAW turns left, PITCH up, ROLL lowers the right side; degrees. A pose file holds \
 camera-to-world poses: KITTI or TUM lines, or one matrix of 3 or 4 lines.
 
-Pictures: shaded; normal (red, green, blue = x, y, z); depth (16 bits, millimetres, 0 = nothing, ends at 65.535 m); weight \
+Pictures: shaded; normal (red, green, blue = x, y, z); depth (16 bits, millimetres, 0 = no surface, at most 65.535 m); weight \
 (dark = 0.01, bright = 100, logarithmic). Several views are numbered, several pictures named: view-03-depth.png.
 
-Surface is seen from the side it was measured from; from behind, one looks through it.
+Surface is visible only from the side it was measured from.
 
 Examples:
   tsdfuse render street.tsdf -o view.png
@@ -40,7 +40,7 @@ Examples:
   tsdfuse render street.tsdf -o scan.png --pose 0,0,1.8 --sensor pandar64
   tsdfuse render pandaset/002 -o scan.png --scan 5 --image normals,surfels,filled";
 
-/// Make pictures of a saved map.
+/// Render pictures of a saved map.
 #[derive(Debug, clap::Args)]
 #[command(after_help = MORE_HELP, group(ArgGroup::new("place").args(["pose", "poses", "from"])),
     group(ArgGroup::new("look").args(["overview", "views", "pose", "poses", "from"])))]
@@ -55,21 +55,21 @@ pub(crate) struct Args {
     output: PathBuf,
     #[command(flatten)]
     look: LookArgs,
-    /// What the picture shows; several with commas between them.
+    /// What to render; separate several with commas.
     #[arg(long, value_name = "KIND", value_delimiter = ',',
         value_parser = PossibleValuesParser::new(ImageKind::ALL.map(ImageKind::name).into_iter().chain(Picture::ALL.map(Picture::name))))]
     image: Vec<String>,
-    /// Look with a LiDAR: a row for each beam, a column for each firing, clockwise from straight ahead.
+    /// Render as this LiDAR sees: a row per beam, a column per firing, clockwise from straight ahead.
     #[arg(long, value_name = "NAME", requires = "place", conflicts_with_all = ["size", "fov"],
         value_parser = PossibleValuesParser::new(tsdfuse::sensor::names()))]
     sensor: Option<String>,
-    /// Voxels of less weight are not seen.
+    /// Ignore voxels with less weight than this.
     #[arg(long, value_name = "W", default_value_t = RenderConfig::default().min_weight)]
     min_weight: f32,
-    /// What is farther away is not seen, metres.
+    /// Ignore surface farther away than this, metres.
     #[arg(long, value_name = "M", default_value_t = RenderConfig::default().max_range_m)]
     max_range: f32,
-    /// Print what was done as JSON.
+    /// Print a JSON report.
     #[arg(long)]
     json: bool,
     /// What renders.
@@ -221,7 +221,7 @@ impl Done {
             _ => terminal::pictures(first),
         }
         if most == 0.0 {
-            note("nothing of the map is seen from there");
+            note("no surface is visible from there");
         }
     }
 }

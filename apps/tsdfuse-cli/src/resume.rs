@@ -15,7 +15,7 @@ Examples:
   tsdfuse fuse drive -o drive.ply --memory 2G --store drive.store
   tsdfuse resume drive.store";
 
-/// Go on with a run of `tsdfuse fuse --store` that ended early, after a crash for instance: the result is the same.
+/// Continue an interrupted run of `tsdfuse fuse --store`; the result is that of an uninterrupted run.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {

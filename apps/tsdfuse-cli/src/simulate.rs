@@ -24,8 +24,7 @@ use hits::Hits;
 const CHORD_M: f64 = 0.002;
 
 const MORE_HELP: &str = "\
-Writes a folder that `tsdfuse fuse` reads, with rings, sensor.toml, the scene's true surface (scene.ply), the part of it \
-that beams hit (hits.ply: returns without noise, the first one in each cell of 5 cm) and how it was made \
+Writes a folder that `tsdfuse fuse` reads, with rings, sensor.toml, the scene's true surface (scene.ply), the part that beams hit (hits.ply: noise-free returns, the first one in each 5 cm cell) and how it was made \
 (simulation.toml). The same arguments give the same bytes.
 
 Examples:
@@ -43,31 +42,31 @@ pub(crate) struct Args {
     /// What scans.
     #[arg(long, default_value = "pandar64", value_parser = PossibleValuesParser::new(tsdfuse::sensor::names()))]
     sensor: String,
-    /// How many scans are made.
+    /// Number of scans.
     #[arg(long, value_name = "N", default_value_t = 80, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     scans: u32,
-    /// The folder to make; it may exist if it is empty.
+    /// The folder to create; it may exist if it is empty.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// How the sensor moves [default: vehicle in the street, drone in the hall, orbit around all else].
     #[arg(long, value_parser = PossibleValuesParser::new(path::names()))]
     path: Option<String>,
-    /// Standard deviation of the ranges, metres.
+    /// Standard deviation of the range noise, metres.
     #[arg(long, value_name = "M", default_value_t = NoiseModel::default().range_sigma_m)]
     noise: f64,
-    /// Probability that a return is lost for no reason.
+    /// Probability that a return is lost at random.
     #[arg(long, value_name = "P", default_value_t = NoiseModel::default().dropout)]
     dropout: f64,
-    /// Whether echoes that are weak, from far away or at grazing incidence, are lost.
+    /// Lose weak echoes (long range, grazing incidence).
     #[arg(long, value_name = "ON|OFF", default_value = "on", value_parser = PossibleValuesParser::new(["on", "off"]))]
     grazing_loss: String,
-    /// Let the sensor move while it scans; every point gets its time.
+    /// Move the sensor during each sweep; every point gets its time.
     #[arg(long)]
     motion: bool,
-    /// Varies the scene and the noise.
+    /// Seed of the scene and the noise.
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Move everything by these metres, as to UTM coordinates.
+    /// Offset of all coordinates, metres, for instance to UTM.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, default_value = "0,0,0")]
     offset: DVec3,
 }

@@ -38,7 +38,7 @@ impl Observer for Terminal {
             Event::Begun { scans, done, .. } => {
                 if self.is_resumed {
                     let asked = scans.map_or("the".to_owned(), |scans| scans.to_string());
-                    say(format_args!("going on after {done} of {asked} scans"));
+                    say(format_args!("continuing after {done} of {asked} scans"));
                 }
                 self.bar = Some(progress::scans("fusing", scans.map(|scans| scans.saturating_sub(done))));
             }
@@ -46,7 +46,7 @@ impl Observer for Terminal {
             Event::ScanSkipped { skipped, .. } => {
                 self.bar.iter().for_each(|bar| bar.inc(1));
                 let (name, reason) = (&skipped.name, &skipped.reason);
-                self.line(format_args!("tsdfuse: warning: {name} is skipped: {reason}"));
+                self.line(format_args!("tsdfuse: warning: skipped {name}: {reason}"));
             }
             Event::MapStored { path, done, asked } => {
                 let asked = asked.map_or(String::new(), |asked| format!(" of {asked}"));
@@ -61,7 +61,7 @@ impl Observer for Terminal {
             Event::Done { stopped } => {
                 self.bar = None;
                 if stopped {
-                    note("stopped: the scans so far are in the result");
+                    note("stopped: the result holds the scans so far");
                 }
             }
             _ => {}
@@ -89,7 +89,7 @@ pub(crate) fn summarize(report: &Report) {
             "{scans} scans fused in {seconds:.2} s, {rate:.1} scans/s{on}"
         ));
     } else if fused_here == 0 {
-        say(format_args!("{scans} scans were fused before{on}"));
+        say(format_args!("all {scans} scans were fused before{on}"));
     } else {
         say(format_args!(
             "{scans} scans fused, {fused_here} of them now in {seconds:.2} s, {rate:.1} scans/s{on}"
@@ -101,7 +101,7 @@ pub(crate) fn summarize(report: &Report) {
     let (saved, mesh) = (report.saved_map.as_ref(), report.mesh.as_ref());
     mesh.inspect(|report| self::mesh(report));
     say(format_args!(
-        "  seconds  read {:.2} (in the background), prepare {:.2}, fuse {:.2}{}{}{}{}; in all {:.2}",
+        "  seconds  read {:.2} (in the background), prepare {:.2}, fuse {:.2}{}{}{}{}; total {:.2}",
         sums.read,
         sums.prepare,
         sums.fuse,

@@ -32,7 +32,7 @@ pub struct Evaluation {
     pub forms: Vec<Form>,
     /// One of so many scans is held out; 0: none. `None`: one of 10, or fewer where there are fewer scans.
     pub hold_out: Option<usize>,
-    /// Farther from its return than this, surface is another surface, metres. `None`: the default truncation for the log.
+    /// Largest distance between a held-out return and its surface, metres, metres. `None`: the default truncation for the log.
     pub margin_m: Option<f64>,
     /// What meshes are compared with.
     pub comparing: Comparing,

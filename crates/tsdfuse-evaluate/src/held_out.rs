@@ -14,7 +14,7 @@ use crate::error::{Error, Result};
 pub(crate) struct HeldOutScans {
     /// Their numbers in the log.
     pub(crate) indices: Vec<usize>,
-    /// Farther from its return than this, surface is another surface, metres.
+    /// Largest distance between a held-out return and its surface, metres, metres.
     pub(crate) margin_m: f64,
     /// Whether scans that cannot be used are left out.
     pub(crate) skip_bad: bool,

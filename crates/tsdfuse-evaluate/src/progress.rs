@@ -19,7 +19,7 @@ pub enum Progress<'a> {
     Step,
     /// The work is done.
     Done,
-    /// A sentence about something odd.
+    /// A sentence about something unusual.
     Note(&'a str),
     /// An event of a run that belongs to the measurement.
     Run(Event<'a>),

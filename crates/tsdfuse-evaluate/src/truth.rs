@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::progress::{Progress, Watch};
 use crate::reference;
 
-/// How meshes are compared, as far as that is asked for.
+/// The rules of measurement, as far as that is asked for.
 #[derive(Clone, Debug)]
 pub struct Comparing {
     /// A mesh, a cloud, or a log for the points of its scans. `None`: the true surface of a simulated log, otherwise the points
@@ -52,7 +52,7 @@ pub struct Truth {
     pub points: Option<usize>,
     /// Triangles, if it is a mesh.
     pub triangles: Option<usize>,
-    /// How meshes are compared with it.
+    /// The rules of measurement with it.
     pub protocol: Protocol,
 }
 

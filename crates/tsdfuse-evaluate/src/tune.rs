@@ -42,9 +42,9 @@ pub struct Tuning {
     pub forms: Vec<Form>,
     /// One of so many scans is held out, at least 2. `None`: one of 5, or fewer where there are fewer scans.
     pub hold_out: Option<usize>,
-    /// Farther from its return than this, surface is another surface, metres. `None`: the default truncation for the log.
+    /// Largest distance between a held-out return and its surface, metres, metres. `None`: the default truncation for the log.
     pub margin_m: Option<f64>,
-    /// How long the search may take, seconds.
+    /// Time limit of the search, seconds.
     pub budget_secs: f64,
 }
 

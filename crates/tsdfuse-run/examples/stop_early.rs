@@ -4,6 +4,8 @@
 //! cargo run --release -p tsdfuse-run --example stop_early -- sample/pandaset-002
 //! ```
 
+#![allow(clippy::print_stdout)] // an example says what it finds
+
 use std::error::Error;
 use std::path::Path;
 use std::time::Duration;

@@ -67,7 +67,7 @@ pub(crate) trait Backend: Send {
         None
     }
 
-    /// Fuses a scan, and tells what became of the oldest scans that are not settled yet: of this one, or of some before.
+    /// Fuses a scan, and returns the outcome of the oldest scans still in flight: of this one, or of some before.
     fn fuse(&mut self, sensor: usize, scan: &Scan) -> Result<Vec<Settled>, Failed>;
 
     /// Tells where the next scans will be, so that what they touch can be loaded meanwhile.
@@ -90,7 +90,7 @@ pub(crate) trait Backend: Send {
     /// updated.
     fn follow(&mut self, updated: &[BlockIndex], changes: &mut Changes) -> Result<()>;
 
-    /// The whole surface.
+    /// The whole surface, once all scans are in the map.
     fn mesh(&mut self, config: &MeshConfig) -> Result<Mesh>;
 
     /// Extracts the surface, which must not be empty, and writes it.

@@ -1,4 +1,4 @@
-//! Everything that decides the result of a run, beside the data.
+//! All settings that determine the result of a run, apart from the data.
 
 use serde::{Deserialize, Serialize};
 use tsdfuse::MapConfig;
@@ -11,12 +11,12 @@ use tsdfuse_io::Log;
 
 use crate::error::RunError;
 
-/// Everything that decides the result of a run, beside the data. Its default is for rotating LiDARs; [`Self::for_log`] is
+/// All settings that determine the result of a run, apart from the data. Its default is for rotating LiDARs; [`Self::for_log`] is
 /// what suits a log.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RunConfig {
-    /// How scans are fused.
+    /// The fusion method.
     pub method: Method,
     /// The voxels.
     pub map: MapConfig,

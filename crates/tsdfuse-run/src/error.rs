@@ -24,7 +24,7 @@ pub enum RunError {
     /// The device or the memory is full. The map holds the scans before, and the session can still write them.
     #[error("{0}; only the scans before are in the result")]
     Full(String),
-    /// Nothing came of the run: no scan could be fused, or the map has no surface.
+    /// The run has no result: no scan could be fused, or the map has no surface.
     #[error("{0}")]
     Nothing(String),
     /// A log cannot be opened, or a result cannot be written.

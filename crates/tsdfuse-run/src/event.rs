@@ -32,7 +32,7 @@ pub enum Event<'a> {
         /// The scan.
         scan: &'a Scan,
     },
-    /// A scan is in the map. GPUs tell so some scans later.
+    /// A scan is in the map. On a GPU, this arrives some scans later.
     ScanFused {
         /// Its number in the log.
         index: usize,
@@ -52,7 +52,7 @@ pub enum Event<'a> {
     SurfaceChanged(&'a Changes),
     /// The mesh so far was written.
     MeshWritten(&'a Path),
-    /// The map and the progress so far were committed: no crash takes them away.
+    /// The map and the progress so far were committed: they survive a crash.
     MapStored {
         /// The store.
         path: &'a Path,
@@ -61,14 +61,14 @@ pub enum Event<'a> {
         /// Scans that were asked for; not known of a stream.
         asked: Option<usize>,
     },
-    /// What one scan can touch takes more memory than the limit allows. Told again when it grows by a quarter.
+    /// What one scan can touch takes more memory than the limit allows. Sent again when it grows by a quarter.
     OverLimit {
         /// Memory of all blocks, bytes.
         bytes: usize,
     },
     /// A longer step begins, such as `extracting the surface`.
     Working(&'a str),
-    /// A sentence about something odd.
+    /// A sentence about something unusual.
     Note(&'a str),
     /// The last scan is in the map, or the run was stopped.
     Done {

@@ -26,7 +26,7 @@ pub(crate) fn open(
 ) -> Result<Box<dyn Backend>> {
     let [sensor] = sensors else {
         return Err(RunError::config(
-            "a GPU fuses one sensor: name it, or leave out --device",
+            "a GPU fuses one sensor at a time: choose it with --sensor, or leave out --device",
         ));
     };
     let gpu = Gpu::open(name)?;
@@ -140,7 +140,6 @@ impl Backend for OnGpu {
     }
 
     fn mesh(&mut self, config: &MeshConfig) -> Result<Mesh> {
-        self.wait()?;
         let map = self.fuser.map();
         let mesher = match &mut self.mesher {
             Some(mesher) => mesher,

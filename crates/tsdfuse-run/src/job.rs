@@ -29,9 +29,16 @@ impl Input {
     /// Opens the log, and tells what is odd about it.
     ///
     /// # Errors
-    /// As [`tsdfuse_io::open_with`]; [`RunError::Config`] if the selection begins beyond the last scan.
+    /// As [`tsdfuse_io::open_with`]; [`RunError::Nothing`] if no scan has a pose, [`RunError::Config`] if the selection begins
+    /// beyond the last scan.
     pub fn open(&self, observer: &mut dyn Observer) -> Result<Log> {
         let log = tsdfuse_io::open_with(&self.path, &self.options)?;
+        if log.scans().iter().all(|scan| scan.pose.is_none()) && !log.scans().is_empty() {
+            let path = self.path.display();
+            return Err(RunError::Nothing(format!(
+                "{path}: the poses of its scans are not known: there is no poses.txt or other pose file, and --poses names none"
+            )));
+        }
         log.notes().iter().for_each(|note| observer.on(Event::Note(note)));
         let Some(scans) = log.len() else { return Ok(log) };
         let Selection { from, to, .. } = self.selection;

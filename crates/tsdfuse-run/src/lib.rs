@@ -1,7 +1,7 @@
 //! A LiDAR log in, a map out.
 //!
 //! [`Session`] is the loop: it reads scans ahead, drops invalid returns, fuses by any method, on the CPU or a GPU, in memory, paged
-//! or with a store that outlives a crash, and tells an [`Observer`] what happens. [`Job`] is a run as data: it can be stored, sent to
+//! or with a store that survives a crash, and tells an [`Observer`] what happens. [`Job`] is a run as data: it can be stored, sent to
 //! another machine, and gone on with; the command `tsdfuse fuse` makes one of its arguments and prints what it observes.
 //!
 //! ```text

@@ -50,13 +50,13 @@ impl Loading {
         }
         if config.method == Method::Patch && config.patch.carve && !self.reader.tells_integrations() {
             observer.on(Event::Note(&format!(
-                "{path}: its format, version 1, does not tell how many scans it holds; rays erase in other turns than without a break"
+                "{path}: version 1 of the format does not record the number of scans; erasing will differ from that of an uninterrupted run"
             )));
         }
         let method = config.method.build(&config.methods(), None);
         if method.needs_sensor() && sensors.iter().any(Option::is_none) {
             observer.on(Event::Note(&format!(
-                "the sensor is guessed from the first of these scans, not of those in {path}; --sensor makes sure it is the same"
+                "the sensor is guessed from these scans, not from those in {path}; set --sensor to be sure it is the same"
             )));
         }
         Ok(())

@@ -10,7 +10,7 @@ use crate::error::{Result, RunError};
 use crate::view::Look;
 
 fn none() -> RunError {
-    RunError::config("this build has no part for GPUs: it was made without the feature gpu")
+    RunError::config("this build does not support GPUs (built without the feature gpu)")
 }
 
 pub(crate) fn open(

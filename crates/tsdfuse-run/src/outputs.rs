@@ -1,5 +1,6 @@
 //! The files that a run makes, checked before the work: none may be an input, or another output.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -75,6 +76,9 @@ impl Outputs {
     }
 }
 
+/// The name of 3D Tiles; their folder is made.
+const TILESET: &str = "tileset.json";
+
 /// Refuses outputs that cannot be written, that are inputs, or that are one file.
 ///
 /// # Errors
@@ -87,7 +91,7 @@ pub fn check(inputs: &[&Path], outputs: &[&Path]) -> Result<()> {
         let shown = path.display();
         if resolved[..i].contains(place) {
             return Err(RunError::config(format_args!(
-                "{shown}: two results cannot be one file"
+                "{shown}: two outputs cannot be the same file"
             )));
         }
         // Of a log's folder only what is there already could be an input.
@@ -96,11 +100,11 @@ pub fn check(inputs: &[&Path], outputs: &[&Path]) -> Result<()> {
             .find(|input| place == *input || (place.exists() && place.starts_with(input)))
         {
             return Err(RunError::config(format_args!(
-                "{shown}: would overwrite what is read from {}; write elsewhere, or remove it first",
+                "{shown}: would overwrite an input, {}; choose another name",
                 input.display()
             )));
         }
-        if !surface::is_tileset(path) {
+        if path.file_name() != Some(OsStr::new(TILESET)) {
             check_file(path)?;
         }
     }
@@ -133,7 +137,7 @@ pub fn check_file(path: &Path) -> Result<()> {
         .unwrap_or(Path::new("."));
     let wrong = |reason: String| Err(tsdfuse_io::Error::dataset(path, reason).into());
     if !folder.is_dir() {
-        return wrong(format!("there is no folder {}", folder.display()));
+        return wrong(format!("no such folder: {}", folder.display()));
     }
     if path.is_dir() {
         return wrong("is a folder, not a file to write".to_owned());

@@ -205,7 +205,7 @@ fn remove_stale(store: &Path, observer: &mut dyn Observer) {
     for path in entries.into_iter().flatten().flatten().map(|entry| entry.path()) {
         if is_temporary_store(&path) && tsdfuse_store::remove_unused(&path) {
             observer.on(Event::Note(&format!(
-                "{}: was left by a run that was killed, and is removed",
+                "{}: was left by a killed run; removed",
                 path.display()
             )));
         }

@@ -130,12 +130,14 @@ impl Job {
             return Ok(None);
         };
         let mut growth = GrowthReport::default();
-        let mut written = 0;
+        let mut skipped = session.skipped().len();
+        let mut fused = 0;
         while session.step(observer)? {
-            let fused = session.scans().len();
-            if fused > written && fused.is_multiple_of(every.max(1)) {
-                written = fused;
+            let is_fused = session.skipped().len() == skipped;
+            (fused, skipped) = (fused + usize::from(is_fused), session.skipped().len());
+            if is_fused && fused.is_multiple_of(every.max(1)) {
                 let start = Instant::now();
+                session.wait(observer)?;
                 match session.write_surface(path) {
                     Ok(_) => {
                         growth.meshes += 1;

@@ -67,6 +67,8 @@ pub struct Session {
     /// Scans that were given to the backend but are not settled.
     under_way: VecDeque<(usize, ScanReport)>,
     checkpoint: Checkpoint,
+    /// Scans that were done when the store was committed last.
+    committed: Option<usize>,
     /// Scans that were fused in this process.
     scans: Vec<ScanReport>,
     loaded: Option<LoadedMap>,
@@ -152,7 +154,7 @@ impl Session {
         let path = store.path().display().to_string();
         if checkpoint.config != setup.config {
             return Err(RunError::config(format_args!(
-                "{path}: its run had other settings; the log may have changed"
+                "{path}: was begun with other settings, or the log has changed"
             )));
         }
         if setup.load_map.is_some() && !checkpoint.is_loaded {
@@ -196,6 +198,7 @@ impl Session {
             backend,
             under_way: VecDeque::new(),
             checkpoint,
+            committed: None,
             scans: Vec::new(),
             loaded: None,
             changes: Changes::default(),
@@ -408,12 +411,26 @@ impl Session {
         Ok(())
     }
 
+    /// Waits until all scans are in the map.
+    ///
+    /// # Errors
+    /// If the device fails. That it is full is no error here: see [`Self::full`].
+    pub fn wait(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        match self.backend.wait() {
+            Ok(settled) => self.settle(settled, observer),
+            Err(RunError::Full(reason)) => {
+                self.lose_under_way(&reason, observer);
+                Ok(())
+            }
+            Err(error) => Err(error),
+        }
+    }
+
     /// Waits until all scans are in the map, and commits them.
     fn settle_all(&mut self, observer: &mut dyn Observer) -> Result<()> {
-        match self.backend.wait() {
-            Ok(settled) => self.settle(settled, observer)?,
-            Err(RunError::Full(reason)) => self.lose_under_way(&reason, observer),
-            Err(error) => return Err(error),
+        self.wait(observer)?;
+        if self.committed == Some(self.checkpoint.done) {
+            return Ok(());
         }
         self.commit(observer)
     }
@@ -492,6 +509,11 @@ impl Session {
     /// Why the map does not hold all scans: the device or the memory is full.
     pub fn full(&self) -> Option<&str> {
         self.full.as_deref()
+    }
+
+    /// Scans that are done, fused or skipped, those before a break included. On a GPU some may still be under way.
+    pub fn done(&self) -> usize {
+        self.checkpoint.done
     }
 
     /// The scans that were fused by this session.

@@ -98,7 +98,7 @@ impl Settings {
         for (name, value) in &self.0 {
             match value {
                 Value::Table(section) => {
-                    texts.extend(section.iter().map(|(key, value)| format!("{name}.{key}={value}")))
+                    texts.extend(section.iter().map(|(key, value)| format!("{name}.{key}={value}")));
                 }
                 value => texts.push(format!("{name}={value}")),
             }
@@ -112,14 +112,14 @@ impl Settings {
     /// # Errors
     /// [`RunError::Config`] for options that do not fit together.
     pub fn resolve(&self, log: &Log) -> Result<RunConfig> {
-        self.resolve_over(RunConfig::for_log(log))
+        self.resolve_over(&RunConfig::for_log(log))
     }
 
     /// As [`Self::resolve`], over other defaults.
     ///
     /// # Errors
     /// As [`Self::resolve`].
-    pub fn resolve_over(&self, defaults: RunConfig) -> Result<RunConfig> {
+    pub fn resolve_over(&self, defaults: &RunConfig) -> Result<RunConfig> {
         let mut config: RunConfig = Value::Table(self.0.clone()).try_into().map_err(RunError::config)?;
         if !self.0.contains_key("method") {
             config.method = defaults.method;
@@ -173,7 +173,7 @@ mod tests {
         settings.set_text("map.truncation_m = 1").unwrap();
         settings.set_text("raycast.distance=projective").unwrap();
         settings.set("--voxel-size", "map.voxel_size_m", 0.25).unwrap();
-        let config = settings.resolve_over(RunConfig::default()).unwrap();
+        let config = settings.resolve_over(&RunConfig::default()).unwrap();
         assert_eq!(
             (config.map.voxel_size_m, config.map.truncation_m, config.map.max_weight),
             (0.25, 1.0, 7.0)
@@ -212,7 +212,7 @@ mod tests {
         let of = |setting: Option<&str>| {
             let mut settings = Settings::default();
             setting.into_iter().for_each(|s| settings.set_text(s).unwrap());
-            let range = settings.resolve_over(log.clone()).unwrap().range;
+            let range = settings.resolve_over(&log).unwrap().range;
             (range.min_range_m, range.max_range_m)
         };
         assert_eq!(of(None), (2.5, 100.0));
@@ -238,7 +238,7 @@ mod tests {
         let of = |texts: &[&str]| {
             let mut settings = Settings::default();
             texts.iter().for_each(|s| settings.set_text(s).unwrap());
-            let RunConfig { method, map, range, .. } = settings.resolve_over(camera.clone()).unwrap();
+            let RunConfig { method, map, range, .. } = settings.resolve_over(&camera).unwrap();
             let map = (map.voxel_size_m, map.truncation_m);
             (method, map, (range.min_range_m, range.max_range_m))
         };
@@ -288,7 +288,7 @@ mod tests {
         let resolved = |setting: &str| {
             let mut settings = Settings::default();
             settings.set_text(setting).unwrap();
-            message(settings.resolve_over(RunConfig::default()))
+            message(settings.resolve_over(&RunConfig::default()))
         };
         assert!(resolved("map.voxel_size_m=-1").contains("voxel_size_m"));
         assert!(resolved("range.max_range_m=0.1").contains("max_range_m = 0.1"));

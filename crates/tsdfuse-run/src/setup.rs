@@ -77,7 +77,7 @@ impl Setup {
         if self.is_paged() {
             if self.device != Device::Cpu {
                 return Err(RunError::config(
-                    "--memory and --store are for maps that the CPU fuses: leave out --device",
+                    "--memory and --store need the CPU: leave out --device",
                 ));
             }
             if is_batch {

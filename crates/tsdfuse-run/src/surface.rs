@@ -80,7 +80,7 @@ pub(crate) fn write_mesh(
     let mesh = extract()?;
     if mesh.triangles.is_empty() {
         return Err(RunError::Nothing(format!(
-            "the map has no surface: {blocks} blocks of voxels, but no triangle at a weight of {} or more",
+            "the map has no surface: {blocks} blocks, but no triangle with a weight of {} or more",
             config.min_weight
         )));
     }

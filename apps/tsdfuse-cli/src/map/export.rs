@@ -39,12 +39,12 @@ mod zarr {
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The map, saved by `tsdfuse fuse --save-map`, or the store of `tsdfuse fuse --store`, of which .zarr and .tsdf can be written.
+    /// A saved map, or a store (only to .zarr and .tsdf).
     map: PathBuf,
-    /// What to write: .npz, a new folder .zarr, .ply or, of a store, .tsdf.
+    /// The file to write: .npz, .ply, a new folder .zarr, or (from a store) .tsdf.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Voxels of less weight do not become surface (.ply).
+    /// Extract no surface from voxels with less weight than this (.ply).
     #[arg(long, value_name = "W", default_value_t = MeshConfig::default().min_weight)]
     min_weight: f32,
 }

@@ -22,20 +22,20 @@ const FOV_DEG: f32 = 60.0;
 /// From where, and through which camera.
 #[derive(Debug, clap::Args)]
 pub(super) struct LookArgs {
-    /// Look at the whole map from above; the default.
+    /// Show the whole map from above (default).
     #[arg(long)]
     pub(super) overview: bool,
-    /// Look at the whole map from N places around it.
+    /// Show the whole map from N viewpoints around it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=9999))]
     pub(super) views: Option<u16>,
     #[arg(
-        help = "Look from this pose: X,Y,Z[,YAW[,PITCH[,ROLL]]], or a file that holds one",
+        help = "Render from this pose: X,Y,Z[,YAW[,PITCH[,ROLL]]], or a file with one pose",
         long,
         value_name = "POSE|FILE",
         allow_hyphen_values = true
     )]
     pub(super) pose: Option<String>,
-    /// Look from each pose of a file.
+    /// Render from each pose in a file.
     #[arg(long, value_name = "FILE")]
     pub(super) poses: Option<PathBuf>,
     /// Look from this place towards --to.
@@ -44,13 +44,13 @@ pub(super) struct LookArgs {
     /// The place that is looked at.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, requires = "from")]
     pub(super) to: Option<DVec3>,
-    /// The given poses are those of an optical frame: x right, y down, z forward.
+    /// Poses are given in the optical frame: x right, y down, z forward.
     #[arg(long, conflicts_with_all = ["overview", "views", "from"])]
     pub(super) optical: bool,
     #[arg(long, value_name = "WIDTHxHEIGHT",
         help = format!("Pixels [default: {}x{}]", SIZE.width, SIZE.height))]
     pub(super) size: Option<Size>,
-    #[arg(long, value_name = "DEG", help = format!("Field of view across [default: {FOV_DEG}]"))]
+    #[arg(long, value_name = "DEG", help = format!("Horizontal field of view [default: {FOV_DEG}]"))]
     pub(super) fov: Option<f32>,
 }
 

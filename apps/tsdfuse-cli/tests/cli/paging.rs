@@ -87,9 +87,8 @@ fn what_cannot_be_paged_is_refused() {
         &mesh,
     ];
     assert!(refused(2, &batch).contains("batch keeps the points of all scans in memory"));
-    assert!(
-        refused(2, &["--memory", "9M", "-o", &mesh, "--mesh-every", "1"]).contains("--mesh-every needs the whole map")
-    );
+    let preview = ["--memory", "9M", "--preview", &folder.text("a.png")];
+    assert!(refused(2, &preview).contains("--preview needs the whole map"));
     assert!(refused(2, &["--memory", "9M", "-o", &folder.text("a.glb")]).contains("is written as a .ply file"));
     assert!(refused(1, &["--store", &folder.text("no/a.store")]).contains("there is no folder"));
     tsdfuse(&["fuse", &set, "--store", &store]).succeeded();
@@ -99,6 +98,20 @@ fn what_cannot_be_paged_is_refused() {
     tsdfuse(&["fuse", &set, "--save-map", &map]).succeeded();
     let line = tsdfuse(&["resume", &map]).failed(1);
     assert!(line.contains("box.tsdf: "), "{line}");
+    // The mesh can be followed, too.
+    let followed = [
+        "fuse",
+        &set,
+        "--memory",
+        "9M",
+        "-o",
+        &mesh,
+        "--mesh-every",
+        "1",
+        "--json",
+    ];
+    assert_eq!(tsdfuse(&followed).succeeded().json()["growth"]["meshes"], 2);
+    std::fs::remove_file(&mesh).unwrap();
     // A run that is over can be resumed: nothing is left to do.
     let done = tsdfuse(&["resume", &store]).succeeded();
     assert!(done.stderr.contains("going on after 2 of 2 scans"), "{}", done.stderr);

@@ -8,7 +8,7 @@ mod paging;
 
 use std::path::Path;
 
-use tsdfuse::fuse::{FuseConfig, Method};
+use tsdfuse::fuse::{FuseConfig, Method, RoldaoConfig, RoldaoForm};
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::{MapConfig, Scan, SensorModel, VoxelMap};
 use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
@@ -49,11 +49,22 @@ fn drive() -> (SensorModel, Vec<Scan>) {
 /// Fuses scans with the whole map in memory.
 fn fused(method: Method, sensor: &SensorModel, scans: &[Scan]) -> VoxelMap {
     let mut map = VoxelMap::new(config()).unwrap();
-    let mut integrator = method.build(&FuseConfig::default(), Some(sensor));
+    let mut integrator = method.build(&streaming(), Some(sensor));
     for scan in scans {
         integrator.integrate(&mut map, scan).unwrap();
     }
     map
+}
+
+/// Options with which all methods fuse scan by scan.
+fn streaming() -> FuseConfig {
+    FuseConfig {
+        roldao: RoldaoConfig {
+            form: RoldaoForm::Streaming,
+            ..Default::default()
+        },
+        ..Default::default()
+    }
 }
 
 /// Fuses scans with little of the map in memory, commits after some of them (counted from 1), and tells how often
@@ -65,7 +76,7 @@ fn fused_with_little(
     scans: &[Scan],
     commits: &[usize],
 ) -> usize {
-    let mut integrator = method.build(&FuseConfig::default(), Some(sensor));
+    let mut integrator = method.build(&streaming(), Some(sensor));
     let (mut evicted, mut before) = (0, paged.map_in_memory().block_count());
     for (number, scan) in (1..).zip(scans) {
         if let Some(next) = scans.get(number) {

@@ -42,9 +42,12 @@ pub(super) fn default_limit() -> usize {
     })
 }
 
-/// The files in which Linux tells how much memory a process can have, and what each of them says: of the machine, of the control
-/// group (container), old and new, and of the process (`ulimit -v`).
-const SOURCES: [(&str, fn(&str) -> Option<usize>); 4] = [
+/// A file, and what its text says of a limit in bytes.
+type Told = (&'static str, fn(&str) -> Option<usize>);
+
+/// The files in which Linux tells how much memory a process can have: of the machine, of the control group (container), old and
+/// new, and of the process (`ulimit -v`).
+const SOURCES: [Told; 4] = [
     ("/proc/meminfo", |text| {
         let kib = text.strip_prefix("MemTotal:")?.split_ascii_whitespace().next()?;
         kib.parse::<usize>().ok()?.checked_mul(1024)
