@@ -35,7 +35,7 @@ pub(crate) const FORMS: [Form; 12] = [
         config.surfel.ground_flip = true;
     }),
     form("surfel-literal", Method::Surfels, |config| {
-        config.surfel.radius_sigmas = 1.0
+        config.surfel.radius_sigmas = 1.0;
     }),
     form("cylindrical", Method::Cylindrical, |_| ()),
     form("kuehner", Method::Kuehner, |_| ()),
