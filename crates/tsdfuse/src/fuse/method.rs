@@ -4,8 +4,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Caminal, CaminalConfig, Cylindrical, Depth, FuseError, Integrator, Kuehner, KuehnerConfig, Normals, Patch, PatchConfig, Raycast,
-    RaycastConfig, Roldao, RoldaoConfig, Surfels,
+    Caminal, CaminalConfig, Cylindrical, Depth, FuseError, Integrator, Kuehner, KuehnerConfig, Normals, Patch,
+    PatchConfig, Raycast, RaycastConfig, Roldao, RoldaoConfig, Surfels,
 };
 use crate::{normals::NormalsConfig, sensor::SensorModel, surfel::SurfelConfig};
 

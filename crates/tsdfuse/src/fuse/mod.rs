@@ -26,6 +26,7 @@ mod lines;
 mod method;
 mod normals;
 mod patch;
+pub mod pictures;
 mod pierced;
 mod placed;
 mod raycast;

@@ -1,5 +1,7 @@
 //! Views as pictures: plain pixels, no files.
 
+use glam::Vec3;
+
 use super::view::{Hit, View};
 
 /// Units of a depth image in a metre.
@@ -64,7 +66,7 @@ impl View {
     pub fn image(&self, kind: ImageKind) -> Image {
         let pixels = match kind {
             ImageKind::Shaded => Pixels::Grey(self.each(255, shade)),
-            ImageKind::Normal => Pixels::Rgb(self.each([0; 3], |h| h.normal.to_array().map(|n| byte(0.5 + 0.5 * n)))),
+            ImageKind::Normal => Pixels::Rgb(self.each([0; 3], |h| normal_color(h.normal))),
             ImageKind::Depth => Pixels::Grey16(self.each(0, depth)),
             ImageKind::Weight => Pixels::Rgb(self.each([0; 3], |h| viridis(log_share(h.weight)))),
         };
@@ -79,6 +81,11 @@ impl View {
         let pixel = |hit: &Option<Hit>| hit.as_ref().map_or(nothing, &pixel);
         self.hits.iter().map(pixel).collect()
     }
+}
+
+/// The colour of a normal: ½ + ½·(x, y, z).
+pub(crate) fn normal_color(normal: Vec3) -> [u8; 3] {
+    normal.to_array().map(|n| byte(0.5 + 0.5 * n))
 }
 
 /// 0..=1 in 8 bits.
@@ -118,7 +125,8 @@ const VIRIDIS: [[f32; 3]; 10] = [
     [253.0, 231.0, 37.0],
 ];
 
-fn viridis(share: f32) -> [u8; 3] {
+/// The colour at a share of the map, 0..=1.
+pub(crate) fn viridis(share: f32) -> [u8; 3] {
     let at = share * 9.0;
     let low = (at as usize).min(8);
     let s = at - low as f32;
@@ -128,7 +136,6 @@ fn viridis(share: f32) -> [u8; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
 
     fn view(hits: Vec<Option<Hit>>) -> View {
         View {

@@ -41,6 +41,7 @@ pub use camera::{Camera, Rays};
 pub use cast::Ray;
 pub use config::{RenderConfig, RenderError};
 pub use image::{DEPTH_PER_M, Image, ImageKind, Pixels, WEIGHT_RANGE};
+pub(crate) use image::{normal_color, viridis};
 pub use orbit::{overview, turntable};
 pub use renderer::{Renderer, render};
 pub use view::{Hit, View};
