@@ -1,14 +1,17 @@
-//! Surfels (S), thesis 5.5: the returns of a scan are first summed up to planar discs, and each disc updates the voxels about it.
+//! Surfels (S), thesis 5.5: the returns of a scan are summarized by planar discs, and each disc updates the voxels around it.
 //!
-//! Which voxels: within the disc's radius of its normal through c (5.21), within μ of its plane (5.22). What distance:
-//! (v − c)·n/μ (5.24), to the plane. What weight: (1 − ‖o − c‖/χ) · 1/(1 + ‖v − c‖/μ) (5.25)–(5.27), by range and by the distance
-//! from the disc's centre. The discs come from [`SurfelMap`].
+//! Which voxels: within the radius of the disc from the line through c along n (5.21), within μ of its plane (5.22). Thesis 6.3
+//! visits a cube of edge 2λ₁ only, which cuts off this cylinder; we visit all of it. What distance: (v − c)·n/μ (5.24), to the
+//! plane. What weight: (1 − ‖o − c‖/χ) · 1/(1 + ‖v − c‖/μ) (5.25)–(5.27), by range and by distance from the centre of the disc.
+//! The discs come from [`SurfelMap`].
 //!
-//! Strong on large flat surfaces seen head-on: the noise of many returns is averaged, and what lies between the scan lines is
-//! covered. Weak everywhere else (thesis 7.5): what is smaller than a cell is lost, discs stick out beyond edges, cells with
-//! few returns leave holes, and a cell crossed by one scan line has a wrong normal. Ground seen at grazing incidence is torn,
-//! since the normals of its cells turn one way or the other by their noise; `ground_flip` mends that, and spoils the walls
-//! below the sensor.
+//! The thesis takes the size of the longest vector as the radius, which is `radius_sigmas = 1`. The default of 1.5 covers more, at
+//! the price of a larger error.
+//!
+//! Strong on large flat surfaces seen head-on: the noise of many returns is averaged, and gaps between the scan lines are covered.
+//! Weak everywhere else (thesis 7.5): detail smaller than a cell is lost, discs extend beyond edges, cells with few returns leave
+//! holes, and a cell crossed by a single scan line has a wrong normal. Ground seen at grazing incidence is torn, because noise
+//! decides which way the normals of its cells point. `ground_flip` repairs that, and spoils walls below the sensor.
 
 use std::time::Instant;
 
@@ -40,8 +43,8 @@ pub struct Surfels {
 }
 
 impl Surfels {
-    /// With the given options. Of the sensor only its longest range counts; without a model the first scan decides which
-    /// sensor it is, and if no beams show in it, the default of [`RangeLimits`] holds.
+    /// With the given options. Only the maximum range of the sensor is used. Without a model, the first scan decides which sensor it
+    /// is; if no beams can be found in it, the default of [`RangeLimits`] applies.
     pub fn new(config: SurfelConfig, sensor: Option<&SensorModel>) -> Self {
         Self {
             config,
@@ -50,7 +53,7 @@ impl Surfels {
         }
     }
 
-    /// Makes the discs of the surfels, and counts the returns of those without.
+    /// Makes the discs of the surfels. Returns the number of fused returns, and of skipped ones by reason.
     fn make_discs(&mut self, max_range_m: f32, config: &MapConfig) -> (u64, Skipped) {
         let voxels_per_m = (1.0 / config.voxel_size_m) as f32;
         let mut fused = 0;
@@ -125,7 +128,7 @@ fn max_radius_m(config: &SurfelConfig, range_m: f64) -> f64 {
     f64::from(config.radius_sigmas) * 0.5 * 3f64.sqrt() * cell_m
 }
 
-/// A surfel whose voxels are updated.
+/// A surfel that updates voxels.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 struct Disc {
@@ -135,7 +138,7 @@ struct Disc {
 }
 
 impl Disc {
-    /// For eight voxels: which are updated, with what distance over μ, and with what weight.
+    /// The rule for eight voxels: which are updated, with what distance over μ, and with what weight.
     #[inline(always)]
     fn rule<S: Simd>(&self) -> impl Fn(&EightVoxels<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>) {
         let Cylinder {

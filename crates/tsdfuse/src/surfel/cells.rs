@@ -1,11 +1,11 @@
-//! Which points share a cell: sorted by cell, then by number, so that every sum over a cell runs in the scan's order.
+//! Which points share a cell. They are sorted by cell, then by number, so that every sum over a cell is in the scan's order.
 
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::config::SurfelConfig;
 
-/// A point's number, and the cell it lies in. Ordered by cell, then point.
+/// The number of a point, and its cell. Ordered by cell, then by point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Cell {
     pub(super) key: Key,
@@ -31,7 +31,7 @@ fn key(point: Vec3, config: &SurfelConfig) -> Option<Key> {
     Some(u64::from(level) << 60 | c.z << 40 | c.y << 20 | c.x)
 }
 
-/// Sorts the points that have a cell by it into `cells`, and tells how many have none.
+/// Sorts the points that have a cell into `cells`. Returns how many have none.
 pub(super) fn sort(points: &[Vec3], config: &SurfelConfig, cells: &mut Vec<Cell>) -> u64 {
     // No cell has this key: levels end below 15.
     const NONE: Key = Key::MAX;

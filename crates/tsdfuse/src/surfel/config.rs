@@ -4,10 +4,10 @@ use serde::{Deserialize, Serialize};
 
 /// How a scan becomes surfels.
 ///
-/// The defaults are those of a multi-resolution surfel map for a rotating LiDAR: cells of 0.25 m up to 16 m, doubling to 4 m
-/// beyond 128 m, so that far from the sensor a cell is seen under 0.9° to 1.8°: a few scan lines and firings. Two standard
-/// deviations of a cell evenly covered would make a disc of the cell's area; one and a half cover nearly as much of the
-/// surface, and stick out less where it ends.
+/// The defaults suit a rotating LiDAR: cells of 0.25 m up to 16 m, doubling to 4 m beyond 128 m. At long range, a cell then
+/// subtends 0.9° to 1.8°, a few scan lines and firings. In an evenly covered cell, a radius of two standard deviations makes a disc
+/// of about the area of the cell. One and a half cover nearly as much of the surface and extend less beyond its edges; one is what
+/// the thesis says.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SurfelConfig {
@@ -15,14 +15,13 @@ pub struct SurfelConfig {
     pub finest_cell_m: f32,
     /// R₀, the distance from the sensor up to which cells are of level 0; it doubles from level to level.
     pub finest_range_m: f32,
-    /// How many levels there are; what is farther away than the last one reaches belongs to it too.
+    /// The number of levels. The last level has no outer limit.
     pub levels: u32,
     /// Cells with fewer returns make no surfel.
     pub min_points: u32,
-    /// A surfel's radius, in standard deviations along its longest axis.
+    /// The radius of a surfel, in standard deviations along its longest axis. 1 is the thesis's literal form.
     pub radius_sigmas: f32,
-    /// Thesis 7.5: surfels below the sensor that look down, as measured by its own axes, are flipped. For vehicles on a road
-    /// that drops away before them.
+    /// Thesis 7.5: surfels below the sensor that face down, both in the sensor's own axes, are flipped. For vehicles on a road.
     pub ground_flip: bool,
 }
 

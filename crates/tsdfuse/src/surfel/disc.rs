@@ -10,17 +10,17 @@ use crate::eigen::{Eigen, eigen};
 pub struct Surfel {
     /// c, the mean of its points, metres.
     pub center: Vec3,
-    /// n, a unit vector towards the side of the sensor.
+    /// n, a unit vector that faces the sensor.
     pub normal: Vec3,
     /// r, metres; 0 if all points are the same.
     pub radius_m: f32,
-    /// ‖o − c‖, the distance from the sensor (from the mean of its positions when it measured the points), metres.
+    /// ‖o − c‖, the distance from the sensor (from the mean of its positions as it measured the points), metres.
     pub distance_m: f32,
-    /// How many points it was made of.
+    /// The number of its points.
     pub points: u32,
 }
 
-/// The surfel of some points, at least one.
+/// The surfel of one or more points.
 pub(super) fn surfel(
     points: &[Vec3],
     origins: Option<&[Vec3]>,

@@ -7,8 +7,8 @@
 //!      edge of a cell     c₀   │   2c₀   │        4c₀        │   …     axis-aligned, one corner at the sensor
 //! ```
 //!
-//! The returns of one level that share a cell make one surfel, if they are enough: their mean, the direction in which they
-//! vary least as its normal, and a radius from the direction in which they vary most.
+//! The returns of one level that share a cell make one surfel if there are enough of them. Its centre is their mean, its normal the
+//! direction of their smallest variance, and its radius a multiple of their largest standard deviation.
 
 mod cells;
 mod config;
@@ -22,7 +22,7 @@ pub use disc::Surfel;
 
 use cells::Cell;
 
-/// The surfels of one scan; kept from scan to scan for its buffers.
+/// The surfels of one scan. Reuse it from scan to scan: it keeps its buffers.
 #[derive(Debug, Default)]
 pub struct SurfelMap {
     cells: Vec<Cell>,
@@ -33,7 +33,7 @@ pub struct SurfelMap {
 }
 
 impl SurfelMap {
-    /// Makes the surfels of a scan in place of those that were there.
+    /// Replaces the surfels by those of a scan.
     ///
     /// `points` are deskewed: in world axes relative to the sensor's position at the scan's pose, metres. `origins` are where
     /// their rays began, in the same frame; without them all began at zero. `up` is the sensor's z axis in these axes. The
