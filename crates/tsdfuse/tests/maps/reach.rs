@@ -2,7 +2,7 @@
 
 use tsdfuse::{
     Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap,
-    fuse::{FuseConfig, Method},
+    fuse::{FuseConfig, Method, RoldaoForm},
     glam::{DQuat, DVec3, IVec3, Vec3},
     index::RegionIndex,
     scan::PoseAt,
@@ -28,12 +28,19 @@ fn scan() -> Scan {
     }
 }
 
+/// The default options, with which all methods fuse scan by scan.
+fn scan_by_scan() -> FuseConfig {
+    let mut config = FuseConfig::default();
+    config.roldao.form = RoldaoForm::Streaming;
+    config
+}
+
 #[test]
 fn all_that_is_updated_lies_within_reach_and_little_else() {
     let scan = scan();
     for method in [Method::Raycast, Method::Surfels, Method::Roldao] {
         let mut map = VoxelMap::new(MapConfig::default()).unwrap();
-        let mut integrator = method.build(&FuseConfig::default(), None);
+        let mut integrator = method.build(&scan_by_scan(), None);
         let reach = integrator.reach(map.config(), &scan).unwrap();
         let done = integrator.integrate(&mut map, &scan).unwrap();
         assert!(!done.updated_blocks.is_empty(), "{method:?}");
