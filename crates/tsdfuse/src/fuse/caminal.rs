@@ -241,20 +241,20 @@ fn interpolate(depths: &mut [f32], width: usize, rounds: usize) {
 /// One round for one row: its free pixels become the means of the filled pixels among them and their eight neighbours.
 /// While depths `spread`, only empty pixels change, and afterwards only filled ones.
 #[inline(always)]
-fn change([above, here, below]: [&[f32]; 3], free: &[f32], spread: bool, to: &mut [f32]) {
-    let end = here.len() - 1;
-    to[0] = here[0];
-    to[end] = here[end];
-    let neighbours = [above, here, below].map(|row| [&row[..end - 1], &row[1..end], &row[2..]]);
-    let (middle, free, to) = (neighbours[1][1], &free[1..end], &mut to[1..end]);
-    for x in 0..to.len().min(middle.len()).min(free.len()) {
+fn change(about: [&[f32]; 3], free: &[f32], spread: bool, to: &mut [f32]) {
+    let n = to.len() - 2;
+    (to[0], to[n + 1]) = (about[1][0], about[1][n + 1]);
+    let [[a, b, c], [d, here, e], [f, g, h]] = about.map(|row| [0, 1, 2].map(|at| &row[at..at + n]));
+    let (free, to) = (&free[1..=n], &mut to[1..=n]);
+    for x in 0..n {
         let (mut sum, mut filled) = (0.0, 0.0);
-        for depth in neighbours.as_flattened().iter().map(|row| row[x]) {
+        // In this order, so that sums are rounded as pixel by pixel.
+        for depth in [a[x], b[x], c[x], d[x], here[x], e[x], f[x], g[x], h[x]] {
             sum += depth;
             filled += if depth > 0.0 { 1.0f32 } else { 0.0 };
         }
-        let changes = free[x] > 0.0 && (middle[x] == 0.0) == spread;
-        to[x] = if changes { sum / filled.max(1.0) } else { middle[x] };
+        let changes = (free[x] > 0.0) & ((here[x] == 0.0) == spread);
+        to[x] = if changes { sum / filled.max(1.0) } else { here[x] };
     }
 }
 

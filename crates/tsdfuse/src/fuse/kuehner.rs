@@ -45,8 +45,10 @@ pub struct KuehnerConfig {
 }
 
 impl Default for KuehnerConfig {
+    /// One pixel above and below the beams of most sensors. Simulated streets and halls, with sensors of 32, 64 and 128 beams, have
+    /// half the error or less than at 1°, and more of the surface within 5 cm.
     fn default() -> Self {
-        Self { max_gap_deg: 1.0 }
+        Self { max_gap_deg: 0.5 }
     }
 }
 
@@ -197,9 +199,9 @@ fn center_of_projection(points: &[Vec3], rings: &[u16], sensor: &SensorModel) ->
     if weights > 0.0 { (heights / weights) as f32 } else { 0.0 }
 }
 
-/// A box about a frustum may hold this many voxels, summed over all pixels of an image. A scan of a street stays two orders of
-/// magnitude below it.
-const MAX_VOXELS: f64 = 2e9;
+/// The boxes around all frusta of an image may hold this many voxels. Those of a street, at 5 cm, hold a fiftieth. Near the limit,
+/// a scan takes seconds and gigabytes.
+const MAX_VOXELS: f64 = 5e8;
 
 /// A cylindrical depth image: ρ per pixel, 0 for an empty one, column by column.
 #[derive(Debug)]
