@@ -451,7 +451,7 @@ fn kuehner_refuses_an_image_that_would_fill_memory() {
         done.err().map(|e| e.to_string())
     };
     assert_eq!(told(1.0), None);
-    let told = told(1e6).unwrap();
+    let told = told(-1e6).unwrap();
     assert!(told.contains("its motion goes too far within the sweep"), "{told}");
     let wrong = |max_gap_deg| KuehnerConfig { max_gap_deg }.validate().err().map(|e| e.to_string());
     assert_eq!([0.0, 180.0].map(wrong), [None, None]);

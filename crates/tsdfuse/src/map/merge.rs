@@ -9,8 +9,9 @@ use crate::index::{BlockIndex, shard_of};
 
 impl VoxelMap {
     /// Adds the observations of another map. The same bits as fusing all scans into one map, in any order and grouping, as long as
-    /// nothing but additions made the maps: no voxel reaches `max_weight`, and no method erases (`patch` with `carve` does,
-    /// and `roldao` in `batch` fits planes to all scans at once).
+    /// nothing but additions made the maps: no voxel reaches `max_weight`, and no method looks at what came before: `patch`
+    /// with `carve` erases, `depth` and `caminal` also update existing blocks in view, and `roldao` in `batch` fits planes to all scans
+    /// at once.
     ///
     /// Tells how many voxels would have gone beyond `max_weight`: they are the mean of both maps, but not the bits that fusing all
     /// would give.
