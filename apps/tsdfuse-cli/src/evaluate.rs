@@ -113,7 +113,10 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     if args.json {
         print_json(&results)?;
     } else {
-        let texts: Vec<_> = tables::of(&results).iter().map(tsdfuse_evaluate::table::Table::text).collect();
+        let texts: Vec<_> = tables::of(&results)
+            .iter()
+            .map(tsdfuse_evaluate::table::Table::text)
+            .collect();
         print(&texts.join("\n"))?;
     }
     for row in &results.methods {

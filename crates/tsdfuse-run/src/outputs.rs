@@ -185,9 +185,9 @@ mod tests {
         assert!(
             told(&[at("a.ply"), at("log/../a.ply")])
                 .unwrap()
-                .contains("cannot be one file")
+                .contains("cannot be the same file")
         );
-        assert!(told(&[at("nowhere/a.ply")]).unwrap().contains("there is no folder"));
+        assert!(told(&[at("nowhere/a.ply")]).unwrap().contains("no such folder"));
         fs::create_dir(at("folder")).unwrap();
         assert!(told(&[at("folder")]).unwrap().contains("is a folder"));
     }

@@ -470,9 +470,9 @@ impl Session {
     /// # Errors
     /// If the store cannot be written; it then holds what was committed before.
     pub fn commit(&mut self, observer: &mut dyn Observer) -> Result<()> {
-        if self.backend.commit(&self.checkpoint.bytes())?
-            && let Some(path) = &self.setup.store
-        {
+        let is_stored = self.backend.commit(&self.checkpoint.bytes())?;
+        self.committed = Some(self.checkpoint.done);
+        if is_stored && let Some(path) = &self.setup.store {
             observer.on(Event::MapStored {
                 path,
                 done: self.checkpoint.done,

@@ -32,7 +32,7 @@ pub struct Setup {
     pub temporary: PathBuf,
     /// A saved map to continue.
     pub load_map: Option<PathBuf>,
-    /// Scans from one [`Event::SurfaceChanged`] to the next; `None`: nobody wants to know.
+    /// Scans from one [`Event::SurfaceChanged`](crate::Event::SurfaceChanged) to the next; `None`: nobody wants to know.
     pub follow_every: Option<usize>,
 }
 
@@ -82,13 +82,13 @@ impl Setup {
             }
             if is_batch {
                 return Err(RunError::config(
-                    "--memory and --store: roldao.form = batch keeps the points of all scans in memory",
+                    "--memory and --store: roldao.form = batch keeps the points of all scans in memory; roldao.form=streaming does not",
                 ));
             }
         }
         if let (Some(path), true) = (&self.load_map, is_batch) {
             return Err(RunError::config(format_args!(
-                "{}: roldao.form = batch fits planes to all scans at once, and a saved map no longer holds them",
+                "{}: roldao.form = batch fits planes to all scans at once, and a saved map no longer holds them; roldao.form=streaming can continue it",
                 path.display()
             )));
         }

@@ -53,10 +53,10 @@ pub fn write(map: &VoxelMap, config: &MeshConfig, path: &Path) -> Result<MeshRep
     write_by(|| Ok(extract_with(map, config)?), map, config, path)
 }
 
-/// As [`write`], where something else extracts the mesh of the map.
+/// As [`write()`], where something else extracts the mesh of the map.
 ///
 /// # Errors
-/// As [`write`], and what `extract` says.
+/// As [`write()`], and what `extract` says.
 pub fn write_by(
     extract: impl FnOnce() -> Result<Mesh>,
     map: &VoxelMap,
@@ -96,11 +96,11 @@ pub(crate) fn write_mesh(
     })
 }
 
-/// Extracts the surface of a paged map, which must not be empty, and writes it. The triangles are those of [`write`], in
+/// Extracts the surface of a paged map, which must not be empty, and writes it. The triangles are those of [`write()`], in
 /// another order.
 ///
 /// # Errors
-/// As [`write`]; if the store cannot be read.
+/// As [`write()`]; if the store cannot be read.
 pub fn write_in_parts(map: &mut PagedMap, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
     if is_tileset(path) {
         return tiles::write(path, &mut map.surface(config));
@@ -111,7 +111,7 @@ pub fn write_in_parts(map: &mut PagedMap, config: &MeshConfig, path: &Path) -> R
     let (vertices, triangles) = out.0.counts();
     if triangles == 0 {
         return Err(RunError::Nothing(format!(
-            "the map has no surface: no triangle at a weight of {} or more",
+            "the map has no surface: no triangle with a weight of {} or more",
             config.min_weight
         )));
     }

@@ -1,5 +1,7 @@
 //! Runs from a log to a map: all backends give one result, and what ends a run is told from what a scan ends.
 
+#![allow(clippy::unwrap_used)] // test helpers
+
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex};

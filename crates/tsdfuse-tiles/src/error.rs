@@ -10,7 +10,7 @@ pub enum TilesError {
     #[error(transparent)]
     File(#[from] tsdfuse_io::Error),
     /// The map has no surface.
-    #[error("the map has no surface: no triangle at a weight of {min_weight} or more")]
+    #[error("the map has no surface: no triangle with a weight of {min_weight} or more")]
     NoSurface {
         /// Voxels of less weight count as never observed.
         min_weight: f32,

@@ -358,7 +358,7 @@ fn what_cannot_be_written_is_told_and_leaves_nothing() {
         write(&dir.path().join(path), &mut surface).unwrap_err().to_string()
     };
     let empty = VoxelMap::new(MapConfig::default()).unwrap();
-    let told = "the map has no surface: no triangle at a weight of 0 or more";
+    let told = "the map has no surface: no triangle with a weight of 0 or more";
     assert_eq!(refused(&empty, "a/tileset.json"), told);
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
     fs::create_dir(dir.path().join("full")).unwrap();

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::Result;
+use tsdfuse::Pose;
 use tsdfuse::fuse::FuseConfig;
 use tsdfuse::fuse::pictures::Picture;
 use tsdfuse_run::check_outputs;
@@ -20,6 +21,7 @@ pub(super) fn run(log: &Path, number: usize, pictures: &[Picture], output: &Path
     let sensor = log.scans().get(number).and_then(|scan| log.sensors().get(scan.sensor));
     let mut scan = log.read(number)?;
     scan.drop_invalid(&log.suggested().range);
+    scan.pose.get_or_insert(Pose::IDENTITY);
     for &picture in pictures {
         let path = name::of(output, (0, 1), (picture.name(), pictures.len()));
         let model = sensor.and_then(|sensor| sensor.model.as_ref());

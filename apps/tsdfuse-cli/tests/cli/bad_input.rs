@@ -76,7 +76,7 @@ fn scans_without_anything_to_fuse_are_no_result() {
         "{line}"
     );
     let line = tsdfuse(&["fuse", &set, "-o", &mesh, "--min-weight", "1000"]).failed(1);
-    assert!(line.contains("no triangle at a weight of 1000 or more"), "{line}");
+    assert!(line.contains("no triangle with a weight of 1000 or more"), "{line}");
     assert_eq!(names(&folder.path("")), ["box"]);
 }
 
@@ -87,9 +87,9 @@ fn results_that_cannot_be_written_are_refused_before_the_work() {
     // The data set does not exist: the outputs are looked at first.
     let set = folder.text("nowhere");
     let line = tsdfuse(&["fuse", &set, "-o", &folder.text("no/mesh.ply")]).failed(1);
-    assert!(line.contains("no/mesh.ply: there is no folder"), "{line}");
+    assert!(line.contains("no/mesh.ply: no such folder"), "{line}");
     let line = tsdfuse(&["fuse", &set, "-o", "-", "--report", &folder.text("no/report.json")]).failed(1);
-    assert!(line.contains("no/report.json: there is no folder"), "{line}");
+    assert!(line.contains("no/report.json: no such folder"), "{line}");
     let line = tsdfuse(&["fuse", &set, "-o", &folder.text("folder.ply")]).failed(1);
     assert!(line.contains("folder.ply: is a folder"), "{line}");
     let line = tsdfuse(&["fuse", &set, "-o", &folder.text("mesh.stl")]).failed(2);
@@ -107,7 +107,7 @@ fn two_results_cannot_be_one_file() {
     let result = folder.text("result.ply");
     for other in ["--save-map", "--report"] {
         let line = tsdfuse(&["fuse", &set, "-o", &result, other, &result]).failed(2);
-        assert!(line.contains("result.ply: two results"), "{line}");
+        assert!(line.contains("result.ply: two outputs"), "{line}");
     }
 }
 

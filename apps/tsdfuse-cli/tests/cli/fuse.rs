@@ -227,7 +227,7 @@ fn bad_scans_are_skipped_and_named_where_that_is_asked_for() {
     let run = tsdfuse(&["fuse", &set, "-o", &mesh, "--skip-bad", "--json"]);
     assert_eq!(run.code, 3, "{}", run.stderr);
     assert!(
-        run.stderr.contains("tsdfuse: warning: 000002.bin is skipped: "),
+        run.stderr.contains("tsdfuse: warning: skipped 000002.bin: "),
         "{}",
         run.stderr
     );

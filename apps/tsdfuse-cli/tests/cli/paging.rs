@@ -1,6 +1,7 @@
 //! `--memory`, `--store` and `tsdfuse resume`: maps that are not all in memory, runs that are killed.
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 use std::time::Duration;
 
@@ -90,7 +91,7 @@ fn what_cannot_be_paged_is_refused() {
     let preview = ["--memory", "9M", "--preview", &folder.text("a.png")];
     assert!(refused(2, &preview).contains("--preview needs the whole map"));
     assert!(refused(2, &["--memory", "9M", "-o", &folder.text("a.glb")]).contains("is written as a .ply file"));
-    assert!(refused(1, &["--store", &folder.text("no/a.store")]).contains("there is no folder"));
+    assert!(refused(1, &["--store", &folder.text("no/a.store")]).contains("no such folder"));
     tsdfuse(&["fuse", &set, "--store", &store]).succeeded();
     assert!(refused(1, &["--store", &store]).contains("box.store: is there already"));
     let line = tsdfuse(&["resume", &folder.text("none")]).failed(1);
@@ -114,7 +115,7 @@ fn what_cannot_be_paged_is_refused() {
     std::fs::remove_file(&mesh).unwrap();
     // A run that is over can be resumed: nothing is left to do.
     let done = tsdfuse(&["resume", &store]).succeeded();
-    assert!(done.stderr.contains("going on after 2 of 2 scans"), "{}", done.stderr);
+    assert!(done.stderr.contains("continuing after 2 of 2 scans"), "{}", done.stderr);
     assert_eq!(names(&folder.path("")), ["box", "box.store", "box.tsdf"]);
 }
 
@@ -148,7 +149,7 @@ fn runs_that_are_killed_lose_nothing_that_was_stored() {
         child.kill().unwrap();
         let stderr = String::from_utf8(child.wait_with_output().unwrap().stderr).unwrap();
         assert!(!stderr.contains("panicked") && !stderr.contains("error"), "{stderr}");
-        let went_on = stderr.lines().find_map(|line| line.split_once("going on after "));
+        let went_on = stderr.lines().find_map(|line| line.split_once("continuing after "));
         let from = went_on.map(|(_, rest)| rest.split_whitespace().next().unwrap().parse::<usize>().unwrap());
         assert!(from.is_none_or(|from| from >= known), "{from:?} {known}");
         known = known.max(stored(&stderr));
@@ -164,11 +165,27 @@ fn runs_that_are_killed_lose_nothing_that_was_stored() {
     let arguments = if fs::exists(&store).unwrap() {
         vec!["resume", &store]
     } else {
-        fuse
+        fuse.clone()
     };
     let last = tsdfuse(&arguments).succeeded();
     assert!(fs::read(&map).unwrap() == fs::read(&whole).unwrap(), "{}", last.stderr);
     eprintln!("{kills} kills, {in_the_middle} of them after a commit and before the last one");
+    // One that is surely killed in the middle goes on there.
+    fs::remove_file(&map).unwrap();
+    fs::remove_file(&store).unwrap();
+    let fuse = [&["fuse", &set, "--save-map"][..], &[&map], &STREET, &paged].concat();
+    let mut child = command(&fuse).stdout(Stdio::null()).spawn().unwrap();
+    let mut told = BufReader::new(child.stderr.take().unwrap())
+        .lines()
+        .map_while(Result::ok);
+    assert!(told.any(|line| line.contains("stored ")));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let last = tsdfuse(&["resume", &store]).succeeded();
+    let from = last.stderr.split_once("continuing after ").unwrap().1;
+    let from: usize = from.split_whitespace().next().unwrap().parse().unwrap();
+    assert!((3..60).contains(&from), "{from}");
+    assert!(fs::read(&map).unwrap() == fs::read(&whole).unwrap(), "{}", last.stderr);
 }
 
 #[cfg(unix)]

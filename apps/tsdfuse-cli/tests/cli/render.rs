@@ -124,8 +124,7 @@ fn poses_come_as_numbers_as_places_and_as_files() {
     assert_eq!(header(&fs::read(&out).unwrap()), (1800, 16, 8, 0));
     let run = tsdfuse(&["render", &map, "-o", &out, "--pose", "50,0,0"]).succeeded();
     assert!(
-        run.stderr
-            .contains("tsdfuse: note: nothing of the map is seen from there"),
+        run.stderr.contains("tsdfuse: note: no surface is visible from there"),
         "{}",
         run.stderr
     );
@@ -177,6 +176,6 @@ fn what_cannot_be_rendered_is_said_in_one_line() {
     let line = tsdfuse(&["render", &map, "-o", &folder.text("v.jpg")]).failed(2);
     assert!(line.contains("v.jpg: a picture is written as .png"), "{line}");
     let line = tsdfuse(&["render", &map, "-o", &folder.text("no/v.png")]).failed(1);
-    assert!(line.contains("no/v.png: there is no folder"), "{line}");
+    assert!(line.contains("no/v.png: no such folder"), "{line}");
     assert_eq!(names(&folder.path("")), ["box", "box.tsdf"]);
 }

@@ -72,7 +72,7 @@ fn tiles_are_the_same_of_a_run_a_map_and_a_store() {
         "30000",
     ]);
     assert!(
-        told.code == 1 && told.stderr.contains("no triangle at a weight of 30000"),
+        told.code == 1 && told.stderr.contains("no triangle with a weight of 30000"),
         "{}",
         told.stderr
     );

@@ -70,7 +70,7 @@ impl Voxel {
     }
 }
 
-/// 8×8×8 voxels, in the order of [`local_number`].
+/// 8×8×8 voxels, in the order of [`local_number`](crate::index::local_number).
 #[repr(align(64))]
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Block {

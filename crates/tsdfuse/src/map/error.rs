@@ -47,7 +47,7 @@ pub enum MapError {
     Voxel {
         /// The voxel's block.
         block: BlockIndex,
-        /// Its [`local_number`].
+        /// Its [`local_number`](crate::index::local_number).
         number: usize,
         /// Its sums.
         voxel: Voxel,
