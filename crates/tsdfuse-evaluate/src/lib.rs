@@ -5,7 +5,7 @@
 //!   pictures.
 //! - [`Tuning`] searches the method, voxel size and truncation that foretell held-out scans best.
 //! - [`bench::Bench`] tells what each stage takes on this machine, and how far that is from what its memory allows.
-//! - [`reference`], [`colored`] and [`figures`] read what one mesh is compared with, and show how it compares.
+//! - [`mod@reference`], [`colored`] and [`figures`] read what one mesh is compared with, and show how it compares.
 //!
 //! ```no_run
 //! use tsdfuse_evaluate::{Evaluation, Form, in_this_process, tables};
