@@ -8,6 +8,7 @@ mod exit;
 mod fuse;
 mod info;
 mod map;
+mod maps;
 mod measuring;
 mod mesh;
 mod output;

@@ -16,10 +16,11 @@ use tsdfuse_io::map_file::{self, Damage, Reader};
 
 use tsdfuse_run::check_outputs;
 use tsdfuse_run::report::{MapReport, SavedMap};
-use tsdfuse_store::{PagedMap, Salvage};
+use tsdfuse_store::Salvage;
 
 use crate::args::parse_triple;
 use crate::exit::{Outcome, Usage};
+use crate::maps::read;
 use crate::output::print_json;
 use crate::progress::{note, say, working};
 use crate::terminal;
@@ -251,41 +252,6 @@ impl Operation {
             }
         }
     }
-}
-
-/// Blocks of a store that are in memory while it is meshed or exported.
-const STORE_BYTES: usize = 256 << 20;
-
-/// Opens a store to look at it; nothing is loaded yet.
-pub(crate) fn open_store(path: &Path) -> Result<PagedMap> {
-    let (map, _) = PagedMap::open_read_only(path, Some(STORE_BYTES))?;
-    Ok(map)
-}
-
-/// Reads a saved map.
-pub(crate) fn read(path: &Path) -> Result<VoxelMap> {
-    if tsdfuse_store::recognises(path) {
-        let store = path.display();
-        let how = format!("{store}: is a store; tsdfuse map export {store} -o NAME.tsdf makes a map of it");
-        return Err(Usage::new(how).into());
-    }
-    Ok(map_file::read(path)?)
-}
-
-/// Reads a saved map, or all of a store.
-pub(crate) fn read_any(path: &Path) -> Result<VoxelMap> {
-    if !tsdfuse_store::recognises(path) {
-        return read(path);
-    }
-    let mut store = open_store(path)?;
-    let mut whole = VoxelMap::new(*store.config())?;
-    store.for_each_region(|map, region| {
-        for (index, block) in map.blocks_of(region) {
-            whole.insert_block(index, block.clone())?;
-        }
-        anyhow::Ok(())
-    })?;
-    Ok(whole)
 }
 
 /// The first map, with the blocks of the others added as they are read.

@@ -10,7 +10,7 @@ use tsdfuse_run::report::{MapReport, MeshReport};
 use tsdfuse_run::{Device, check_outputs, surface};
 
 use crate::exit::{self, Outcome, Usage};
-use crate::map::open_store;
+use crate::maps::open_store;
 use crate::output::{self, print_json};
 use crate::{progress, terminal};
 

@@ -112,7 +112,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     check_outputs(&inputs, &[&args.output])?;
 
     let start = Instant::now();
-    let map = crate::map::read_any(&args.map)?;
+    let map = crate::maps::read_any(&args.map)?;
     let read_seconds = start.elapsed().as_secs_f64();
     let spinner = progress::working("rendering");
     let preparing = Instant::now();

@@ -9,10 +9,10 @@ use tsdfuse_io::{map_file, npz, ply};
 
 use tsdfuse_run::{check_outputs, surface};
 
-use super::open_store;
 #[cfg(feature = "zarr")]
 use super::zarr;
 use crate::exit::{Outcome, Usage};
+use crate::maps::open_store;
 use crate::progress::say;
 
 #[cfg(not(feature = "zarr"))]

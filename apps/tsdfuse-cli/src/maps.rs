@@ -1,0 +1,45 @@
+//! Reading saved maps and stores.
+
+use std::path::Path;
+
+use anyhow::Result;
+use tsdfuse::VoxelMap;
+use tsdfuse_io::map_file;
+use tsdfuse_store::PagedMap;
+
+use crate::exit::Usage;
+
+/// Blocks of a store that are in memory while it is meshed or exported.
+const STORE_BYTES: usize = 256 << 20;
+
+/// Opens a store to look at it; nothing is loaded yet.
+pub(crate) fn open_store(path: &Path) -> Result<PagedMap> {
+    let (map, _) = PagedMap::open_read_only(path, Some(STORE_BYTES))?;
+    Ok(map)
+}
+
+/// Reads a saved map.
+pub(crate) fn read(path: &Path) -> Result<VoxelMap> {
+    if tsdfuse_store::recognises(path) {
+        let store = path.display();
+        let how = format!("{store}: is a store; tsdfuse map export {store} -o NAME.tsdf makes a map of it");
+        return Err(Usage::new(how).into());
+    }
+    Ok(map_file::read(path)?)
+}
+
+/// Reads a saved map, or all of a store.
+pub(crate) fn read_any(path: &Path) -> Result<VoxelMap> {
+    if !tsdfuse_store::recognises(path) {
+        return read(path);
+    }
+    let mut store = open_store(path)?;
+    let mut whole = VoxelMap::new(*store.config())?;
+    store.for_each_region(|map, region| {
+        for (index, block) in map.blocks_of(region) {
+            whole.insert_block(index, block.clone())?;
+        }
+        anyhow::Ok(())
+    })?;
+    Ok(whole)
+}
