@@ -20,7 +20,7 @@ use hashbrown::HashMap;
 use memmap2::{MmapOptions, MmapRaw};
 use rustc_hash::FxBuildHasher;
 
-use crate::map::Block;
+use crate::map::block::Block;
 pub use limit::OutOfMemory;
 use limit::default_limit;
 

@@ -11,7 +11,7 @@
 //! | `update` | single voxels, for methods that do not need speed |
 //! | `merge`, `crop`, `warp` | maps made of maps |
 
-mod block;
+pub(crate) mod block;
 mod config;
 mod crop;
 mod dense;
