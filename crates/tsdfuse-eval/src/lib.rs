@@ -37,7 +37,6 @@ pub mod protocol;
 pub mod reference;
 pub mod sample;
 pub mod stats;
-pub mod triangle;
 mod voxels;
 
 pub use bounds::Bounds;
@@ -46,6 +45,7 @@ pub use error::{EvalError, Result};
 pub use protocol::Protocol;
 pub use reference::Reference;
 pub use stats::Stats;
+pub use tsdfuse::mesh::triangle;
 
 /// Compiles the example of the README.
 #[cfg(doctest)]

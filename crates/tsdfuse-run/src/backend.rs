@@ -38,7 +38,7 @@ impl From<Integration> for Settled {
 #[derive(Debug)]
 pub(crate) enum Failed {
     /// The scan cannot be used; the map is as it was before.
-    Scan(FuseError),
+    Scan(String),
     /// The run cannot go on.
     Run(RunError),
 }
@@ -55,7 +55,7 @@ impl Failed {
         match error {
             FuseError::Config(reason) => Self::Run(RunError::Config(reason)),
             FuseError::OutOfMemory(error) => Self::Run(RunError::Full(error.to_string())),
-            error => Self::Scan(error),
+            error => Self::Scan(error.to_string()),
         }
     }
 }

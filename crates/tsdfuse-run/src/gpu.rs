@@ -108,7 +108,7 @@ impl Backend for OnGpu {
         match self.fuser.integrate(scan) {
             Ok(done) => Ok(settled(done)),
             Err(GpuError::Fuse(FuseError::Config(reason))) => Err(RunError::Config(reason).into()),
-            Err(GpuError::Fuse(error)) => Err(Failed::Scan(error)),
+            Err(error) if error.is_bad_scan() => Err(Failed::Scan(error.to_string())),
             Err(error) => Err(Failed::Run(failed(error))),
         }
     }

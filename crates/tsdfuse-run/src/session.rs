@@ -346,7 +346,7 @@ impl Session {
         let next = self.next.iter().take(AHEAD).flatten();
         self.backend.prefetch(&next.copied().collect::<Vec<_>>())?;
         let settled = self.backend.fuse(sensor, &scan).map_err(|failed| match failed {
-            Failed::Scan(error) => bad(&scan.name, format!("{}: {error}", self.name)).into(),
+            Failed::Scan(reason) => bad(&scan.name, format!("{}: {reason}", self.name)).into(),
             Failed::Run(error) => error,
         })?;
         let took = start.elapsed().as_secs_f64();

@@ -1,13 +1,13 @@
-//! Points and triangles.
+//! Triangles: nearest points and areas.
 
 use glam::DVec3;
 
-/// The point of a triangle that is nearest to `p` (Ericson, Real-Time Collision Detection, 2005, 5.1.5); of one without
+/// The point of a triangle that is nearest to `p` (Ericson, Real-Time Collision Detection, 2005, 5.1.5). If the triangle has no
 /// area, the nearest point of its sides.
 pub fn closest_on([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
     let (ab, ac) = (b - a, c - a);
     let longest_squared = ab.length_squared().max(ac.length_squared());
-    // Below this the quotients of the inner cases are noise.
+    // For smaller areas the quotients of the inner cases are noise.
     if ab.cross(ac).length_squared() <= 1e-24 * longest_squared * longest_squared {
         let sides = [[a, b], [b, c], [c, a]].map(|side| closest_on_segment(side, p));
         let nearer = |x: DVec3, y: DVec3| {
@@ -54,7 +54,7 @@ fn closest_on_segment([a, b]: [DVec3; 2], p: DVec3) -> DVec3 {
     if along > 0.0 { a + ab * along.min(1.0) } else { a }
 }
 
-/// Area of a triangle, m².
+/// The area of a triangle, m².
 pub fn area([a, b, c]: [DVec3; 3]) -> f64 {
     (b - a).cross(c - a).length() / 2.0
 }
