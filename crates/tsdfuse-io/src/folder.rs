@@ -8,7 +8,9 @@
 //! - `motion.txt`: for each scan a line with further poses of the sensor, so that the poses of single returns are known:
 //!   the seconds from the scan's pose to such a pose and its 12 numbers as in `poses.txt`, once or several times, or `-` for none,
 //! - `sensor.toml`: the sensor's model, and optionally `body_from_sensor`, the 12 numbers of where it sits on a body (vehicle,
-//!   robot); then `poses.txt` and `motion.txt` are `world_from_body`.
+//!   robot); then `poses.txt` and `motion.txt` are `world_from_body`,
+//! - `imu.csv`: what an inertial measurement unit measured, in the sensor frame: after the header `t,gx,gy,gz,ax,ay,az`, seconds
+//!   on the clock of `times.txt`, rad/s and m/s².
 //!
 //! Lines go to scans as poses do (see [`poses`]). Where returns have times but there is no `motion.txt`, the sensor moves
 //! along the trajectory, if poses have times of their own (TUM) and these have no gap within the sweep: through all poses
@@ -30,9 +32,11 @@ use crate::source::{ImuSample, OpenOptions, ScanRef, Sensor, Source};
 use crate::{bin, pcd, ply, present, times};
 
 mod beside;
+mod imu;
 
 pub(crate) use beside::{PoseFile, parse_motions, parse_sensor, poses};
 use beside::{motions, of_model, sensor};
+pub(crate) use imu::parse as parse_imu;
 
 /// The longest time between two scans over which the sensor is taken to move steadily, seconds.
 pub const MAX_STEP_SECS: f64 = 1.0;
@@ -44,9 +48,17 @@ pub(crate) struct ScanFolder {
     entries: Vec<Entry>,
     /// `world_from_body`.
     trajectory: Option<Trajectory>,
-    imu: Vec<ImuSample>,
+    imu: Imu,
     sensors: [Sensor; 1],
     notes: Vec<String>,
+}
+
+/// Samples of the inertial measurement unit.
+enum Imu {
+    /// In the body frame.
+    Known(Vec<ImuSample>),
+    /// In a file that is read when asked for, in the sensor frame.
+    InFile(PathBuf),
 }
 
 /// The files of one scan, and how the sensor moves during it where `motion.txt` says so.
@@ -105,6 +117,7 @@ impl ScanFolder {
             Ok((there && present::file(&path)?).then_some(path))
         };
         let (rings, times) = (rings?, times?);
+        let imu = root.join(imu::NAME);
         let entries = files
             .iter()
             .zip(motions(&root.join("motion.txt"), files)?)
@@ -125,7 +138,11 @@ impl ScanFolder {
             entries: entries.collect::<Result<_>>()?,
             scans,
             trajectory,
-            imu: Vec::new(),
+            imu: if present::file(&imu)? {
+                Imu::InFile(imu)
+            } else {
+                Imu::Known(Vec::new())
+            },
             sensors: [sensor],
             notes,
         };
@@ -153,7 +170,7 @@ impl ScanFolder {
         imu: Vec<ImuSample>,
     ) -> Self {
         let [sensor] = &mut self.sensors;
-        (self.trajectory, self.imu, sensor.body_from_sensor) = (trajectory, imu, body_from_sensor);
+        (self.trajectory, self.imu, sensor.body_from_sensor) = (trajectory, Imu::Known(imu), body_from_sensor);
         self
     }
 
@@ -299,7 +316,11 @@ impl Source for ScanFolder {
     }
 
     fn imu(&self) -> Result<Vec<ImuSample>> {
-        Ok(self.imu.clone())
+        let [sensor] = &self.sensors;
+        match &self.imu {
+            Imu::Known(samples) => Ok(samples.clone()),
+            Imu::InFile(path) => imu::read(path, &sensor.body_from_sensor),
+        }
     }
 
     fn notes(&self) -> &[String] {

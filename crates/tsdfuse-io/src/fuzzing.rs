@@ -153,6 +153,12 @@ pub fn motion(bytes: &[u8]) {
     let _ = folder::parse_motions(Path::new(PATH), bytes);
 }
 
+/// The samples of an inertial measurement unit, as they are and after a correct header.
+pub fn imu(bytes: &[u8]) {
+    let _ = folder::parse_imu(Path::new(PATH), bytes);
+    let _ = folder::parse_imu(Path::new(PATH), &[b"t,gx,gy,gz,ax,ay,az\n", bytes].concat());
+}
+
 /// A sensor's model.
 pub fn sensor(bytes: &[u8]) {
     let _ = folder::parse_sensor(Path::new(PATH), bytes);
@@ -204,11 +210,12 @@ mod tests {
         }
 
         #[test]
-        fn any_motion_is_bearable(numbers in prop::collection::vec(-2..3i8, 0..60), every in 1usize..30) {
+        fn any_motion_and_any_samples_are_bearable(numbers in prop::collection::vec(-2..3i8, 0..60), every in 1usize..30) {
             let words: Vec<String> = numbers.iter().map(ToString::to_string).collect();
             let lines: Vec<String> = words.chunks(every).map(|line| line.join(" ")).collect();
             motion(lines.join("\n").as_bytes());
             motion(lines.join("\n-\n").as_bytes());
+            imu(lines.join("\n").as_bytes());
         }
 
         #[test]

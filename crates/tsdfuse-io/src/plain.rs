@@ -9,6 +9,7 @@
 //! motion.txt            optional; per scan "secs" and 12 numbers: where the sensor is secs after the scan's pose, once or
 //!                       several times; or "-"
 //! sensor.toml           optional; the sensor's model, and body_from_sensor = [12 numbers] if poses are those of a body
+//! imu.csv               optional; "t,gx,gy,gz,ax,ay,az", then seconds, rad/s and m/s² of each sample, sensor frame
 //! ```
 //!
 //! Without `motion.txt`, points with times move towards the next scan's pose (the last scan: away from the one before),

@@ -31,7 +31,7 @@ impl Writer {
     pub fn create(folder: impl AsRef<Path>) -> Result<Self> {
         let folder = folder.as_ref();
         // What is left of another data set would be read as part of this one.
-        const OURS: [&str; 8] = [
+        const OURS: [&str; 9] = [
             "velodyne",
             "rings",
             "times",
@@ -39,6 +39,7 @@ impl Writer {
             "times.txt",
             "motion.txt",
             "sensor.toml",
+            "imu.csv",
             "calib.txt",
         ];
         if let Some(old) = OURS.iter().map(|name| folder.join(name)).find(|path| path.exists()) {
