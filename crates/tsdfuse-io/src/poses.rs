@@ -23,6 +23,10 @@ use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::text::{self, Line};
 
+mod write;
+
+pub use write::{write, write_to};
+
 /// The longest time between two poses of a trajectory that is interpolated over, seconds.
 pub const MAX_GAP_SECS: f64 = 0.2;
 
