@@ -24,12 +24,12 @@ pub fn pickle(bytes: &[u8]) {
 /// # Panics
 /// If it cannot.
 pub fn map(bytes: &[u8]) {
-    // The bytes as they are, and as the groups of a file with correct checksums.
-    for file in [bytes.to_vec(), map_file::forged(bytes)] {
+    // The bytes as they are, and as the groups and as the poses of a file with correct checksums.
+    for file in [bytes.to_vec(), map_file::forged(bytes), map_file::forged_poses(bytes)] {
         let read = map_file::parse(Path::new(PATH), file.as_slice());
         let repaired = map_file::repair_bytes(Path::new(PATH), &file);
-        if let Ok(read) = read {
-            let same = repaired.is_ok_and(|r| r.map == read && r.damage.places.is_empty());
+        if let Ok((map, poses)) = read {
+            let same = repaired.is_ok_and(|r| r.map == map && r.poses == poses && r.damage.places.is_empty());
             assert!(same, "what can be read can be repaired");
         }
     }

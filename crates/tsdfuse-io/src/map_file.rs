@@ -9,11 +9,13 @@ use tsdfuse::{MapConfig, VoxelMap};
 use crate::error::{Error, Result};
 
 mod format;
+mod fused;
 mod pack;
 mod reader;
 mod repair;
 mod writer;
 
+pub use fused::{FusedPose, pack_poses, unpack_poses};
 pub use pack::{pack, unpack};
 pub use reader::Reader;
 pub use repair::{Damage, Repaired, repair, repair_bytes};
@@ -42,15 +44,23 @@ pub fn recognises(path: impl AsRef<Path>) -> bool {
 /// # Ok::<(), tsdfuse_io::Error>(())
 /// ```
 pub fn write(path: impl AsRef<Path>, map: &VoxelMap) -> Result<()> {
-    crate::atomic::write(path, |out| write_to(out, map))
+    write_with_poses(path, map, &[])
 }
 
-/// Writes a map. This takes memory for one group of blocks only.
+/// Saves a map with the poses of its scans, in the order in which they were fused; otherwise as [`write()`].
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_with_poses(path: impl AsRef<Path>, map: &VoxelMap, poses: &[FusedPose]) -> Result<()> {
+    crate::atomic::write(path, |out| write_to(out, map, poses))
+}
+
+/// Writes a map and the poses of its scans. This takes memory for one group of blocks only.
 ///
 /// # Errors
 /// What the system says.
-pub fn write_to(out: impl Write, map: &VoxelMap) -> io::Result<()> {
-    let mut writer = Writer::new(out, map.config(), map.integrations())?;
+pub fn write_to(out: impl Write, map: &VoxelMap, poses: &[FusedPose]) -> io::Result<()> {
+    let mut writer = Writer::with_poses(out, map.config(), map.integrations(), poses)?;
     for region in map.regions() {
         map.blocks_of(region)
             .try_for_each(|(index, block)| writer.block(index, block))?;
@@ -66,15 +76,28 @@ pub fn read(path: impl AsRef<Path>) -> Result<VoxelMap> {
     Reader::open(path)?.map()
 }
 
-/// Reads a map from bytes.
-pub(crate) fn parse(path: &Path, bytes: impl Read) -> Result<VoxelMap> {
-    Reader::new(path, bytes)?.map()
+/// Reads a saved map and the poses of its scans; none where the file does not tell them.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_with_poses(path: impl AsRef<Path>) -> Result<(VoxelMap, Vec<FusedPose>)> {
+    whole(Reader::open(path)?)
+}
+
+/// Reads a map and its poses from bytes.
+pub(crate) fn parse(path: &Path, bytes: impl Read) -> Result<(VoxelMap, Vec<FusedPose>)> {
+    whole(Reader::new(path, bytes)?)
+}
+
+fn whole(mut reader: Reader<impl Read>) -> Result<(VoxelMap, Vec<FusedPose>)> {
+    let poses = reader.take_poses();
+    Ok((reader.map()?, poses))
 }
 
 /// For fuzzing: a file with correct checksums whose groups are made of any bytes. For each group, the first byte says how many blocks
 /// it claims, and the next two how many bytes follow.
 pub(crate) fn forged(mut bytes: &[u8]) -> Vec<u8> {
-    let header = format::Header::bytes(&MapConfig::default(), 0);
+    let header = format::Header::bytes(format::WITHOUT_POSES, &MapConfig::default(), 0);
     let mut file = [&header[..], &format::checksum(&[&header]).to_le_bytes()].concat();
     let (mut blocks, mut number) = (0, 0);
     while let [promised, low, high, rest @ ..] = bytes {
@@ -87,7 +110,21 @@ pub(crate) fn forged(mut bytes: &[u8]) -> Vec<u8> {
     file
 }
 
-/// For fuzzing: the groups of such a file.
+/// For fuzzing: a file without blocks whose poses are any bytes, with correct checksums.
+pub(crate) fn forged_poses(bytes: &[u8]) -> Vec<u8> {
+    let header = format::Header::bytes(format::VERSION, &MapConfig::default(), 0);
+    let mut file = [&header[..], &format::checksum(&[&header]).to_le_bytes()].concat();
+    let mut poses = format::POSES_MARK.to_vec();
+    poses.extend((bytes.len() as u32 / 64).to_le_bytes());
+    poses.extend(format::checksum(&[&bytes[..bytes.len() / 64 * 64]]).to_le_bytes());
+    poses.extend(format::checksum(&[&poses]).to_le_bytes());
+    file.extend(poses);
+    file.extend(&bytes[..bytes.len() / 64 * 64]);
+    file.extend(format::end_bytes(&header, 0));
+    file
+}
+
+/// For fuzzing: the groups of a [`forged`] file.
 pub(crate) fn groups(file: &[u8]) -> &[u8] {
     file.get(format::HEADER + 4..file.len() - (format::END + 4))
         .unwrap_or_default()

@@ -11,9 +11,14 @@ use tsdfuse::map::{Block, MapConfig, MapError, Voxel, WEIGHT_SCALE};
 use crate::error::Error;
 
 pub(super) const MAGIC: [u8; 8] = *b"TSDFMAP\n";
-pub(super) const VERSION: u32 = 2;
+/// The newest version: a map with the poses of its scans.
+pub(super) const VERSION: u32 = 3;
+/// The version of a map without them; it is the same otherwise.
+pub(super) const WITHOUT_POSES: u32 = 2;
 /// Marks the beginning of a group.
 pub(super) const GROUP_MARK: [u8; 8] = *b"TSDFGRP\n";
+/// Marks the poses of the scans.
+pub(super) const POSES_MARK: [u8; 8] = *b"TSDFPOS\n";
 /// Marks the end of the groups.
 pub(super) const END_MARK: [u8; 8] = *b"TSDFEND\n";
 /// Bytes of magic, version, weight scale, voxel size, truncation, largest weight and number of integrations. Their checksum
@@ -23,6 +28,8 @@ pub(super) const HEADER: usize = 40;
 pub(super) const HEADER_1: usize = 44;
 /// Bytes of mark, number, blocks, length of the compressed bytes, and their checksum. The checksum of these follows.
 pub(super) const GROUP_HEADER: usize = 24;
+/// Bytes of mark, number of poses and their checksum. The checksum of these follows.
+pub(super) const POSES_HEADER: usize = 16;
 /// Bytes of mark, header and number of blocks. Their checksum follows.
 pub(super) const END: usize = 16 + HEADER;
 /// Blocks in a group; the last one may hold fewer.
@@ -82,11 +89,16 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// The bytes of version 2, without their checksum.
-    pub(super) fn bytes(config: &MapConfig, integrations: u32) -> [u8; HEADER] {
+    /// Whether the poses of the scans follow it.
+    pub(super) fn has_poses(&self) -> bool {
+        self.version > WITHOUT_POSES
+    }
+
+    /// The bytes of version 2 or 3, without their checksum.
+    pub(super) fn bytes(version: u32, config: &MapConfig, integrations: u32) -> [u8; HEADER] {
         let mut header = Vec::with_capacity(HEADER);
         header.extend(MAGIC);
-        header.extend(VERSION.to_le_bytes());
+        header.extend(version.to_le_bytes());
         header.extend(WEIGHT_SCALE.to_le_bytes());
         header.extend(config.voxel_size_m.to_le_bytes());
         header.extend(config.truncation_m.to_le_bytes());
@@ -143,7 +155,7 @@ impl Header {
     }
 }
 
-/// What precedes the blocks of a group (version 2).
+/// What precedes the blocks of a group (from version 2 on).
 pub(super) struct GroupHeader {
     pub(super) number: u32,
     pub(super) blocks: usize,

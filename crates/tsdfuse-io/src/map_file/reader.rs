@@ -11,15 +11,17 @@ use super::format::{
     BLOCK, CHANGED, END_MARK, GROUP, GROUP_MARK, GroupHeader, Header, Wrong, array, block_of, check_length, checksum,
     read_end, unpack, wrong,
 };
+use super::fused::{FusedPose, read_poses};
 use crate::error::{Error, Result};
 
-/// A saved map that is read group by group, so that at most one group is in memory, about 1 MiB, and what the caller keeps. A group
-/// cannot claim more.
+/// A saved map that is read group by group, so that at most one group is in memory, about 1 MiB, the poses of the scans, and what the
+/// caller keeps. A group cannot claim more.
 #[derive(Debug)]
 pub struct Reader<R> {
     path: PathBuf,
     bytes: R,
     header: Header,
+    poses: Vec<FusedPose>,
     groups: u64,
     blocks: u64,
     packed: Vec<u8>,
@@ -27,17 +29,23 @@ pub struct Reader<R> {
 }
 
 impl<R: Read> Reader<R> {
-    /// Reads the header; `path` is for messages.
+    /// Reads the header and the poses of the scans; `path` is for messages.
     ///
     /// # Errors
     /// Names the file and what is wrong.
     pub fn new(path: impl AsRef<Path>, mut bytes: R) -> Result<Self> {
         let path = path.as_ref();
         let header = Header::read(&mut bytes).map_err(|e| e.at(path, "its header"))?;
+        let poses = if header.has_poses() {
+            read_poses(&mut bytes).map_err(|e| e.at(path, "its trajectory"))?
+        } else {
+            Vec::new()
+        };
         Ok(Self {
             path: path.to_owned(),
             bytes,
             header,
+            poses,
             groups: 0,
             blocks: 0,
             packed: Vec::new(),
@@ -58,6 +66,16 @@ impl<R: Read> Reader<R> {
     /// Whether the file tells how many integrations made it.
     pub fn tells_integrations(&self) -> bool {
         self.header.version > 1
+    }
+
+    /// The poses of the scans that made it, in the order in which they were fused; none if the file does not tell.
+    pub fn poses(&self) -> &[FusedPose] {
+        &self.poses
+    }
+
+    /// Hands out [`Reader::poses`]; it has none afterwards.
+    pub fn take_poses(&mut self) -> Vec<FusedPose> {
+        std::mem::take(&mut self.poses)
     }
 
     /// Reads all of it into a map.

@@ -9,6 +9,7 @@ use tsdfuse::{MapConfig, VoxelMap};
 use super::format::{
     BLOCK, END, END_MARK, GROUP_HEADER, GROUP_MARK, GroupHeader, HEADER, Header, Wrong, block_of, read_end, wrong,
 };
+use super::fused::{FusedPose, read_poses};
 use super::reader::Reader;
 use crate::error::{Error, Result};
 
@@ -17,6 +18,8 @@ use crate::error::{Error, Result};
 pub struct Repaired {
     /// The blocks of all groups that are intact.
     pub map: VoxelMap,
+    /// The poses of its scans; none if the file does not tell them, or not any more.
+    pub poses: Vec<FusedPose>,
     /// What could not be recovered.
     pub damage: Damage,
 }
@@ -58,7 +61,8 @@ pub(super) fn into(path: &Path, bytes: &[u8], new: impl Fn(&MapConfig) -> Result
         (Ok(header), _) if header.version == 1 => {
             let map = Reader::new(path, bytes)?.map()?;
             damage.lost_blocks = Some(0);
-            return Ok(Repaired { map, damage });
+            let poses = Vec::new();
+            return Ok(Repaired { map, poses, damage });
         }
         (Ok(header), _) => header,
         (Err(wrong), Some((header, ..))) => {
@@ -74,6 +78,24 @@ pub(super) fn into(path: &Path, bytes: &[u8], new: impl Fn(&MapConfig) -> Result
 
     let (mut at, mut expected) = (HEADER + 4, 0);
     let stop = end.map_or(bytes.len(), |(.., at)| at);
+    let next_group = |from| {
+        find(bytes, from, &GROUP_MARK)
+            .filter(|&next| next < stop)
+            .unwrap_or(stop)
+    };
+    let mut poses = Vec::new();
+    if header.has_poses() {
+        let mut rest = bytes.get(at..).unwrap_or_default();
+        match read_poses(&mut rest) {
+            Ok(read) => (poses, at) = (read, bytes.len() - rest.len()),
+            Err(wrong) => {
+                let next = next_group(at);
+                let what = reason(wrong, &format!("bytes {at} to {}", next.saturating_sub(1)));
+                damage.places.push(format!("{what}; the trajectory is lost"));
+                at = next;
+            }
+        }
+    }
     while at < stop {
         match group(bytes, at, &mut map) {
             Ok((number, next)) => {
@@ -84,9 +106,7 @@ pub(super) fn into(path: &Path, bytes: &[u8], new: impl Fn(&MapConfig) -> Result
             }
             Err(Wrong::System(e)) if e.kind() == ErrorKind::OutOfMemory => return Err(Error::io(path)(e)),
             Err(wrong) => {
-                let next = find(bytes, at + 1, &GROUP_MARK)
-                    .filter(|&next| next < stop)
-                    .unwrap_or(stop);
+                let next = next_group(at + 1);
                 let what = reason(wrong, &format!("bytes {at} to {}", next - 1));
                 damage.places.push(what);
                 at = next;
@@ -103,7 +123,7 @@ pub(super) fn into(path: &Path, bytes: &[u8], new: impl Fn(&MapConfig) -> Result
         }
         None => damage.places.push("the end is missing".to_owned()),
     }
-    Ok(Repaired { map, damage })
+    Ok(Repaired { map, poses, damage })
 }
 
 /// Says which groups are missing, counted from 1 as in all messages.

@@ -5,10 +5,10 @@ use super::format::{
 };
 use super::*;
 use proptest::prelude::*;
-use tsdfuse::MapConfig;
-use tsdfuse::glam::IVec3;
+use tsdfuse::glam::{DQuat, DVec3, IVec3};
 use tsdfuse::index::BlockIndex;
 use tsdfuse::map::{Block, Voxel};
+use tsdfuse::{MapConfig, Pose};
 
 /// A map of three groups, its blocks on both sides of the origin and put in out of order.
 fn map() -> VoxelMap {
@@ -34,12 +34,14 @@ fn map() -> VoxelMap {
 
 fn saved(map: &VoxelMap) -> Vec<u8> {
     let mut bytes = Vec::new();
-    write_to(&mut bytes, map).unwrap();
+    write_to(&mut bytes, map, &[]).unwrap();
     bytes
 }
 
 fn parsed(bytes: &[u8]) -> Result<VoxelMap, String> {
-    parse(Path::new("a.tsdf"), bytes).map_err(|e| e.to_string())
+    parse(Path::new("a.tsdf"), bytes)
+        .map(|(map, _)| map)
+        .map_err(|e| e.to_string())
 }
 
 fn refused(bytes: &[u8]) -> String {
@@ -74,7 +76,7 @@ fn forged_packed(count: u64, group: &[u8], packed: &[u8]) -> Vec<u8> {
 /// A map as version 1 has it.
 fn saved_1(map: &VoxelMap) -> Vec<u8> {
     let indices = map.block_indices();
-    let mut bytes = Header::bytes(map.config(), 0)[..HEADER - 4].to_vec();
+    let mut bytes = Header::bytes(2, map.config(), 0)[..HEADER - 4].to_vec();
     bytes[8] = 1;
     bytes.extend((indices.len() as u64).to_le_bytes());
     assert_eq!(bytes.len(), HEADER_1);
@@ -204,7 +206,7 @@ fn damage_is_named_by_its_group() {
     assert_eq!(flipped(offsets[2] + 17), format!("a.tsdf: group 3: {CHANGED}"));
     assert_eq!(flipped(offsets[0] + 3), format!("a.tsdf: group 1: {CHANGED}"));
     assert!(flipped(3).ends_with("its header: this is no map saved by tsdfuse"));
-    assert!(flipped(8).ends_with("its header: it has version 18, read are versions up to 2"));
+    assert!(flipped(8).ends_with("its header: it has version 18, read are versions up to 3"));
     assert!(flipped(20).ends_with(&format!("its header: {CHANGED}")));
     assert_eq!(flipped(bytes.len() - 10), format!("a.tsdf: group 4: {CHANGED}"));
     let told = refused(&bytes[..offsets[2] - 1]);
@@ -273,7 +275,7 @@ fn repaired(change: impl FnOnce(&mut Vec<u8>)) -> Repaired {
 fn what_is_intact_is_recovered() {
     let (whole, offsets) = (map(), group_offsets(&SAVED));
     let check = |repaired: &Repaired, blocks: usize, lost: Option<u64>, places: &[&str]| {
-        let Repaired { map, damage } = repaired;
+        let Repaired { map, damage, .. } = repaired;
         assert_eq!(
             (map.block_count(), map.integrations(), damage.lost_blocks),
             (blocks, 77, lost)
@@ -344,7 +346,7 @@ proptest! {
             bytes[at] ^= change;
         }
         bytes.truncate(bytes.len() - length.index(bytes.len()) / 3);
-        if let Ok(Repaired { map: left, damage }) = repair_bytes(Path::new("a.tsdf"), &bytes) {
+        if let Ok(Repaired { map: left, damage, .. }) = repair_bytes(Path::new("a.tsdf"), &bytes) {
             let whole = &*MAP;
             prop_assert!(left.block_indices().iter().all(|&i| left.block(i) == whole.block(i)));
             prop_assert!(left == *whole || !damage.places.is_empty());
@@ -381,4 +383,122 @@ fn a_map_without_memory_is_not_taken_for_a_damaged_file() {
     );
     let error = repair::into(Path::new("a.tsdf"), &file, |_| Ok(limited())).unwrap_err();
     assert_eq!(error.to_string(), format!("a.tsdf: {told}"));
+}
+
+/// Poses with and without times, not in order of time.
+fn poses() -> Vec<FusedPose> {
+    let pose = |i: i64| FusedPose {
+        time_ns: (i % 7 != 0).then_some(1_583_836_591_182_590_976 - i),
+        pose: Pose {
+            rotation: DQuat::from_rotation_z(0.1 * i as f64),
+            translation: DVec3::new(i as f64, -0.5, 691_000.25),
+        },
+    };
+    (0..300).map(pose).collect()
+}
+
+fn with_poses(map: &VoxelMap) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    write_to(&mut bytes, map, &poses()).unwrap();
+    bytes
+}
+
+/// Bytes of the poses' section of 300 poses.
+const POSES: usize = 20 + 64 * 300;
+
+#[test]
+fn poses_are_kept_and_change_nothing_else() {
+    let (map, plain, bytes) = (map(), saved(&map()), with_poses(&map()));
+    assert_eq!(parse(Path::new("a.tsdf"), bytes.as_slice()).unwrap(), (map, poses()));
+    // A program that reads version 2 only says which version it is.
+    assert_eq!((plain[8], bytes[8]), (2, 3));
+    assert_eq!(bytes.len(), plain.len() + POSES);
+    assert_eq!(bytes[44 + POSES..bytes.len() - 60], plain[44..plain.len() - 60]);
+    assert_eq!(parse(Path::new("a.tsdf"), plain.as_slice()).unwrap().1, []);
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.tsdf");
+    write_with_poses(&path, &self::map(), &poses()).unwrap();
+    assert_eq!(read_with_poses(&path).unwrap(), (self::map(), poses()));
+    assert_eq!(Reader::open(&path).unwrap().poses().len(), 300);
+    assert_eq!(read(&path).unwrap(), self::map());
+}
+
+/// As `docs/map-format.md` describes them.
+#[test]
+fn the_bytes_of_poses_are_as_documented() {
+    let bytes = &with_poses(&map())[44..];
+    assert_eq!(bytes[..12], *b"TSDFPOS\n\x2c\x01\0\0");
+    let crc = |bytes: &[u8]| crc32fast::hash(bytes).to_le_bytes();
+    assert_eq!(bytes[12..16], crc(&bytes[20..POSES]));
+    assert_eq!(bytes[16..20], crc(&bytes[..16]));
+    assert_eq!(bytes[20..28], i64::MIN.to_le_bytes());
+    let second: Vec<f64> = bytes[92..148]
+        .as_chunks()
+        .0
+        .iter()
+        .map(|&b| f64::from_le_bytes(b))
+        .collect();
+    assert_eq!(bytes[84..92], 1_583_836_591_182_590_975i64.to_le_bytes());
+    assert_eq!(second, [1.0, -0.5, 691_000.25, 0.0, 0.0, 0.05f64.sin(), 0.05f64.cos()]);
+}
+
+#[test]
+fn damaged_poses_are_lost_and_the_blocks_are_kept() {
+    let (map, bytes) = (map(), with_poses(&map()));
+    let whole = repair_bytes(Path::new("a.tsdf"), &bytes).unwrap();
+    assert_eq!(
+        (whole.map == map, whole.poses, whole.damage.places.len()),
+        (true, poses(), 0)
+    );
+    for at in [0, 9, 13, 17, 20, 5000] {
+        let mut bytes = bytes.clone();
+        bytes[44 + at] ^= 4;
+        assert_eq!(refused(&bytes), format!("a.tsdf: its trajectory: {CHANGED}"));
+        let Repaired {
+            map: left,
+            poses,
+            damage,
+        } = repair_bytes(Path::new("a.tsdf"), &bytes).unwrap();
+        assert_eq!((left == map, poses.len(), damage.lost_blocks), (true, 0, Some(0)));
+        let place = format!("bytes 44 to {}: {CHANGED}; the trajectory is lost", 43 + POSES);
+        assert_eq!(damage.places, [place]);
+    }
+    // Damage elsewhere leaves the poses.
+    let mut broken = bytes.clone();
+    broken[44 + POSES + 300] ^= 4;
+    broken[20] ^= 4;
+    let left = repair_bytes(Path::new("a.tsdf"), &broken).unwrap();
+    assert_eq!((left.poses, left.damage.lost_blocks), (poses(), Some(256)));
+    let cut = repair_bytes(Path::new("a.tsdf"), &bytes[..5000]).unwrap();
+    assert_eq!(
+        cut.damage.places,
+        [
+            "bytes 44 to 4999: the file ends within them; the trajectory is lost",
+            "the end is missing"
+        ]
+    );
+    assert_eq!(refused(&bytes[..5000]), "a.tsdf: the file ends within its trajectory");
+}
+
+#[test]
+fn what_is_no_pose_is_refused_although_its_checksum_is_right() {
+    let mut poses = poses();
+    let packed = |poses: &[FusedPose]| unpack_poses(&pack_poses(poses).unwrap()).map_err(|e| e.to_string());
+    assert_eq!(packed(&poses), Ok(poses.clone()));
+    poses[7].pose.rotation = DQuat::from_xyzw(1.0, 1.0, 0.0, 0.0);
+    assert!(packed(&poses).unwrap_err().starts_with("pose 7: the pose is not rigid"));
+    poses[3].pose.translation.x = f64::NAN;
+    assert_eq!(
+        packed(&poses).unwrap_err(),
+        "pose 3: the pose holds a number that is not finite"
+    );
+    let longer = [&pack_poses(&[]).unwrap()[..], &[0]].concat();
+    assert_eq!(
+        unpack_poses(&longer).unwrap_err().to_string(),
+        "bytes follow the last pose"
+    );
+    // A count without poses takes no memory.
+    let mut many = b"TSDFPOS\n\xff\xff\xff\xff\0\0\0\0".to_vec();
+    many.extend(checksum(&[&many]).to_le_bytes());
+    assert!(unpack_poses(&many).is_err());
 }

@@ -7,7 +7,10 @@ use tsdfuse::MapConfig;
 use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::map::Block;
 
-use super::format::{BLOCK, GROUP, GroupHeader, HEADER, Header, checksum, end_bytes, push_block};
+use super::format::{
+    BLOCK, GROUP, GroupHeader, HEADER, Header, VERSION, WITHOUT_POSES, checksum, end_bytes, push_block,
+};
+use super::fused::{FusedPose, pack_poses};
 
 /// Writes blocks as they come, which must be region by region and sorted within each. Holds one group at a time.
 #[derive(Debug)]
@@ -26,10 +29,22 @@ impl<W: Write> Writer<W> {
     ///
     /// # Errors
     /// What the system says.
-    pub fn new(mut out: W, config: &MapConfig, integrations: u32) -> io::Result<Self> {
-        let header = Header::bytes(config, integrations);
+    pub fn new(out: W, config: &MapConfig, integrations: u32) -> io::Result<Self> {
+        Self::with_poses(out, config, integrations, &[])
+    }
+
+    /// Begins a map of scans with these poses, in the order in which they were fused.
+    ///
+    /// # Errors
+    /// What the system says; `InvalidInput` for 2³² poses or more.
+    pub fn with_poses(mut out: W, config: &MapConfig, integrations: u32, poses: &[FusedPose]) -> io::Result<Self> {
+        let version = if poses.is_empty() { WITHOUT_POSES } else { VERSION };
+        let header = Header::bytes(version, config, integrations);
         out.write_all(&header)?;
         out.write_all(&checksum(&[&header]).to_le_bytes())?;
+        if !poses.is_empty() {
+            out.write_all(&pack_poses(poses)?)?;
+        }
         Ok(Self {
             out,
             header,
