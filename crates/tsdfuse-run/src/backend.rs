@@ -6,6 +6,7 @@ use tsdfuse::fuse::{FuseError, Skipped};
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
 use tsdfuse::{Integration, Integrator, Pose, Scan, SensorModel, VoxelMap};
+use tsdfuse_io::map_file::FusedPose;
 
 use crate::config::RunConfig;
 use crate::error::{Result, RunError};
@@ -96,8 +97,8 @@ pub(crate) trait Backend: Send {
     /// Extracts the surface, which must not be empty, and writes it.
     fn write_surface(&mut self, config: &MeshConfig, path: &Path) -> Result<MeshReport>;
 
-    /// Writes the map.
-    fn save(&mut self, path: &Path) -> Result<SavedMap>;
+    /// Writes the map and the poses of its scans.
+    fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap>;
 
     /// What looks at the whole map, once all scans are in it.
     fn viewer(&mut self, min_weight: f32, look: &mut dyn FnMut(See<'_>) -> Result<()>) -> Result<()>;
@@ -105,8 +106,9 @@ pub(crate) trait Backend: Send {
     /// How much the whole map holds.
     fn report(&self) -> MapReport;
 
-    /// Makes the map and `checkpoint` what is there after a crash; whether there is a store for that.
-    fn commit(&mut self, _checkpoint: &[u8]) -> Result<bool> {
+    /// Makes the map, `checkpoint` and the poses of its scans what is there after a crash; whether there is a store for that. The
+    /// poses begin with those of the commit before.
+    fn commit(&mut self, _checkpoint: &[u8], _poses: &[FusedPose]) -> Result<bool> {
         Ok(false)
     }
 

@@ -8,7 +8,7 @@ use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
 use tsdfuse::render::RenderConfig;
 use tsdfuse::{Scan, SensorModel, VoxelMap};
 use tsdfuse_gpu::{DeviceMap, Fused, Fuser, Gpu, GpuError, Mesher, PoolConfig, Renderer};
-use tsdfuse_io::map_file;
+use tsdfuse_io::map_file::{self, FusedPose};
 
 use crate::backend::{Backend, Failed, Settled, follow};
 use crate::config::RunConfig;
@@ -156,9 +156,9 @@ impl Backend for OnGpu {
         surface::write_mesh(|| self.mesh(config), blocks, config, path)
     }
 
-    fn save(&mut self, path: &Path) -> Result<SavedMap> {
+    fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap> {
         let start = std::time::Instant::now();
-        map_file::write(path, &self.fuser.map().download()?)?;
+        map_file::write_with_poses(path, &self.fuser.map().download()?, poses)?;
         Ok(SavedMap::written(path, start))
     }
 

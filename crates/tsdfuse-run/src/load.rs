@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use tsdfuse::fuse::Method;
 use tsdfuse::map::MapError;
 use tsdfuse::{MapConfig, SensorModel, VoxelMap};
-use tsdfuse_io::map_file::Reader;
+use tsdfuse_io::map_file::{FusedPose, Reader};
 
 use crate::config::RunConfig;
 use crate::error::{Result, RunError};
@@ -27,6 +27,11 @@ impl Loading {
             path: path.to_owned(),
             reader: Reader::open(path)?,
         })
+    }
+
+    /// The poses of the scans that the map was made of, as far as it tells them.
+    pub(crate) fn take_poses(&mut self) -> Vec<FusedPose> {
+        self.reader.take_poses()
     }
 
     /// The configuration that the map was made with.

@@ -6,7 +6,7 @@ use std::time::Instant;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, extract_with};
 use tsdfuse::{Scan, VoxelMap};
-use tsdfuse_io::map_file;
+use tsdfuse_io::map_file::{self, FusedPose};
 
 use crate::backend::{Backend, Failed, Integrators, Settled, follow};
 use crate::error::{Result, RunError};
@@ -67,9 +67,9 @@ impl Backend for InMemory {
         surface::write(&self.map, config, path)
     }
 
-    fn save(&mut self, path: &Path) -> Result<SavedMap> {
+    fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap> {
         let start = Instant::now();
-        map_file::write(path, &self.map)?;
+        map_file::write_with_poses(path, &self.map, poses)?;
         Ok(SavedMap::written(path, start))
     }
 

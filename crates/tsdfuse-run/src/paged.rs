@@ -8,7 +8,7 @@ use tsdfuse::glam::IVec3;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
 use tsdfuse::{Pose, Scan, SensorModel, VoxelMap};
-use tsdfuse_io::map_file::Reader;
+use tsdfuse_io::map_file::{FusedPose, Reader};
 use tsdfuse_store::{PagedError, PagedMap, StoreError};
 
 use crate::backend::{Backend, Failed, Integrators, Settled};
@@ -68,6 +68,12 @@ impl Paged {
     /// Ends without a result: the store goes, too.
     pub(crate) fn remove(mut self) {
         self.temporary = Some(self.map.path().to_owned());
+    }
+
+    /// Tells the store the poses that it does not know yet; it knows the first ones.
+    fn know(&mut self, poses: &[FusedPose]) {
+        let known = self.map.poses().len();
+        self.map.add_poses(poses.get(known..).unwrap_or_default());
     }
 
     /// Puts a saved map into the store; tells how many blocks it has.
@@ -144,7 +150,8 @@ impl Backend for Paged {
         surface::write_in_parts(&mut self.map, config, path)
     }
 
-    fn save(&mut self, path: &Path) -> Result<SavedMap> {
+    fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap> {
+        self.know(poses);
         surface::save_in_parts(&mut self.map, path)
     }
 
@@ -156,8 +163,9 @@ impl Backend for Paged {
         MapReport::of_paged(&self.map)
     }
 
-    fn commit(&mut self, checkpoint: &[u8]) -> Result<bool> {
+    fn commit(&mut self, checkpoint: &[u8], poses: &[FusedPose]) -> Result<bool> {
         let start = Instant::now();
+        self.know(poses);
         self.map.commit(checkpoint)?;
         self.commits += 1;
         self.commit_seconds += start.elapsed().as_secs_f64();

@@ -7,6 +7,7 @@ use std::time::Instant;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Mesh};
 use tsdfuse::{Pose, Scan, SensorModel, VoxelMap};
+use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::{Log, ReadAhead, ReadScan};
 use tsdfuse_store::PagedMap;
 
@@ -65,7 +66,9 @@ pub struct Session {
     next: VecDeque<Option<Pose>>,
     backend: Box<dyn Backend>,
     /// Scans that were given to the backend but are not settled.
-    under_way: VecDeque<(usize, ScanReport)>,
+    under_way: VecDeque<UnderWay>,
+    /// Of the scans that are in the map, those of a map that is continued and those before a break included.
+    poses: Vec<FusedPose>,
     checkpoint: Checkpoint,
     /// Scans that were done when the store was committed last.
     committed: Option<usize>,
@@ -81,6 +84,13 @@ pub struct Session {
     begun: Instant,
     seconds: f64,
     stop: Stop,
+}
+
+/// A scan that was given to the backend.
+struct UnderWay {
+    index: usize,
+    report: ScanReport,
+    pose: Option<FusedPose>,
 }
 
 impl Session {
@@ -106,7 +116,8 @@ impl Session {
             sums: Sums::default(),
             skipped: Vec::new(),
         };
-        let loading = setup.load_map.as_deref().map(Loading::open).transpose()?;
+        let mut loading = setup.load_map.as_deref().map(Loading::open).transpose()?;
+        let poses = loading.as_mut().map(Loading::take_poses).unwrap_or_default();
         if let Some(loading) = &loading {
             loading.check(&setup.config, &sensors, observer)?;
         }
@@ -115,7 +126,7 @@ impl Session {
             let load = |loading: Loading| {
                 let loaded = loading.read_into(&mut paged)?;
                 checkpoint.is_loaded = true;
-                paged.commit(&checkpoint.bytes())?;
+                paged.commit(&checkpoint.bytes(), &poses)?;
                 Ok::<_, RunError>(loaded)
             };
             match loading.map(load).transpose() {
@@ -135,7 +146,7 @@ impl Session {
             (open(map, &setup, &sensors)?, loaded)
         };
         let mut session = Self::with(log, setup, backend, checkpoint);
-        session.loaded = loaded;
+        (session.loaded, session.poses) = (loaded, poses);
         Ok(session.started(observer))
     }
 
@@ -171,8 +182,11 @@ impl Session {
                 count(asked)
             )));
         }
+        let poses = store.poses().to_vec();
         let backend = Paged::resume(store, &setup, &checkpoint.sensors);
-        Ok(Self::with(log, setup, Box::new(backend), checkpoint).started(observer))
+        let mut session = Self::with(log, setup, Box::new(backend), checkpoint);
+        session.poses = poses;
+        Ok(session.started(observer))
     }
 
     fn with(log: &Log, setup: Setup, backend: Box<dyn Backend>, checkpoint: Checkpoint) -> Self {
@@ -197,6 +211,7 @@ impl Session {
             next,
             backend,
             under_way: VecDeque::new(),
+            poses: Vec::new(),
             checkpoint,
             committed: None,
             scans: Vec::new(),
@@ -364,7 +379,9 @@ impl Session {
             sums,
             updated_blocks: 0,
         };
-        self.under_way.push_back((index, report));
+        let time_ns = scan.time_ns;
+        let pose = scan.pose.map(|pose| FusedPose { time_ns, pose });
+        self.under_way.push_back(UnderWay { index, report, pose });
         if let Some(bytes) = self.backend.over_limit() {
             observer.on(Event::OverLimit { bytes });
         }
@@ -384,9 +401,15 @@ impl Session {
     /// Completes the reports of the oldest scans that are under way.
     fn settle(&mut self, settled: Vec<Settled>, observer: &mut dyn Observer) -> Result<()> {
         for done in settled {
-            let Some((index, mut report)) = self.under_way.pop_front() else {
+            let Some(UnderWay {
+                index,
+                mut report,
+                pose,
+            }) = self.under_way.pop_front()
+            else {
                 continue;
             };
+            self.poses.extend(pose);
             report.sums.fused = done.fused;
             report.sums.skipped = done.skipped;
             report.sums.prepare += done.prepare_secs;
@@ -443,7 +466,7 @@ impl Session {
     }
 
     fn lose_under_way(&mut self, reason: &str, observer: &mut dyn Observer) {
-        for (index, report) in std::mem::take(&mut self.under_way) {
+        for UnderWay { index, report, .. } in std::mem::take(&mut self.under_way) {
             let (name, reason) = (report.name, reason.to_owned());
             self.skip(index, SkippedScan { name, reason }, observer);
         }
@@ -470,7 +493,7 @@ impl Session {
     /// # Errors
     /// If the store cannot be written; it then holds what was committed before.
     pub fn commit(&mut self, observer: &mut dyn Observer) -> Result<()> {
-        let is_stored = self.backend.commit(&self.checkpoint.bytes())?;
+        let is_stored = self.backend.commit(&self.checkpoint.bytes(), &self.poses)?;
         self.committed = Some(self.checkpoint.done);
         if is_stored && let Some(path) = &self.setup.store {
             observer.on(Event::MapStored {
@@ -551,6 +574,12 @@ impl Session {
         self.loaded.as_ref()
     }
 
+    /// The poses of the scans that are in the map, in the order in which they were fused: those of a map that is continued, as far as
+    /// it tells them, and those before a break included.
+    pub fn poses(&self) -> &[FusedPose] {
+        &self.poses
+    }
+
     /// The map, if all of it is in memory.
     pub fn map(&self) -> Option<&VoxelMap> {
         self.backend.map()
@@ -583,12 +612,12 @@ impl Session {
         self.backend.write_surface(&self.setup.config.mesh, path)
     }
 
-    /// Saves the map of the scans so far.
+    /// Saves the map of the scans so far, with their poses.
     ///
     /// # Errors
     /// If the file cannot be written.
     pub fn save_map(&mut self, path: &Path) -> Result<SavedMap> {
-        self.backend.save(path)
+        self.backend.save(path, &self.poses)
     }
 
     /// Writes a picture of the whole map.

@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex};
 use tsdfuse::glam::{DVec3, Vec3};
 use tsdfuse::mesh::extract;
 use tsdfuse::{Pose, Scan, VoxelMap};
+use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::{Log, ScanRef, Sensor, Source, Stream, StreamedScan};
 use tsdfuse_run::report::SkippedScan;
 use tsdfuse_run::{Event, Job, RunError, Session, Settings, Setup, Silent, Stop};
@@ -74,6 +75,7 @@ impl Source for Wall {
         }
         Ok(Scan {
             name: reference.name.clone(),
+            time_ns: reference.time_ns,
             points: grid.collect(),
             pose,
             ..Scan::default()
@@ -231,8 +233,11 @@ fn a_run_that_is_stopped_leaves_what_a_commit_leaves_and_goes_on() {
         (4, 9, Some((Some(9), 5)))
     );
     let log = tsdfuse_io::open(&path).unwrap();
-    let map = tsdfuse_io::map_file::read(dir.path().join("map.tsdf")).unwrap();
+    let (map, poses) = tsdfuse_io::map_file::read_with_poses(dir.path().join("map.tsdf")).unwrap();
     assert_eq!(map, fused(&log, setup(&log)));
+    assert_eq!(places(&poses), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
+    let store = tsdfuse_store::PagedMap::open_read_only(job.store.as_ref().unwrap(), None).unwrap();
+    assert_eq!(store.0.poses(), poses);
 }
 
 #[test]
@@ -274,6 +279,51 @@ fn only_bad_scans_are_skipped() {
     (others.unreadable, others.too_far) = Default::default();
     let others = others.log();
     assert_eq!(session.map().unwrap(), &fused(&others, setup(&others)));
+    assert_eq!(places(session.poses()), [0, 2, 4, 5]);
+}
+
+#[test]
+fn a_map_that_is_continued_keeps_its_trajectory() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("first.tsdf");
+    let mut wall = Wall::new(7);
+    for (scan, time_ns) in wall.scans.iter_mut().zip(100..) {
+        scan.time_ns = Some(time_ns);
+    }
+    let mut parts = [wall.clone(), wall];
+    parts[0].scans.truncate(4);
+    parts[1].scans.drain(..4);
+    let [first, second] = parts.map(Wall::log);
+    let mut session = Session::begin(&first, setup(&first), &mut Silent).unwrap();
+    session.run(&mut Silent).unwrap();
+    session.save_map(&path).unwrap();
+    for (memory_bytes, store) in [
+        (None, None),
+        (Some(1 << 20), None),
+        (None, Some(dir.path().join("a.store"))),
+    ] {
+        let continued = Setup {
+            load_map: Some(path.clone()),
+            temporary: dir.path().to_owned(),
+            memory_bytes,
+            store,
+            ..setup(&second)
+        };
+        let mut session = Session::begin(&second, continued, &mut Silent).unwrap();
+        session.run(&mut Silent).unwrap();
+        assert_eq!(places(session.poses()), [0, 1, 2, 3, 4, 5, 6]);
+        let times: Vec<_> = session.poses().iter().filter_map(|pose| pose.time_ns).collect();
+        assert_eq!(times, (100..107).collect::<Vec<i64>>());
+        let all = dir.path().join("all.tsdf");
+        session.save_map(&all).unwrap();
+        let saved = tsdfuse_io::map_file::read_with_poses(&all).unwrap().1;
+        assert_eq!(saved, session.poses());
+    }
+}
+
+/// The numbers of the scans at the wall with these poses.
+fn places(poses: &[FusedPose]) -> Vec<usize> {
+    poses.iter().map(|pose| pose.pose.translation.y as usize).collect()
 }
 
 /// With a store that can no longer be written, the run ends: no scan is to blame.

@@ -195,7 +195,7 @@ impl StoreFile {
             state,
             regions: rows,
         };
-        let bytes = index.to_bytes();
+        let bytes = index.to_bytes().map_err(&wrong)?;
         let header = Header {
             sequence: index.sequence,
             config: index.state.config,
@@ -327,6 +327,7 @@ mod tests {
             config: MapConfig::default(),
             integrations: 0,
             checkpoint: vec![number],
+            poses: Vec::new(),
         }
     }
 

@@ -6,15 +6,18 @@
 //!   page 2…  regions, and the index of the last commit (twice), each on pages of its own
 //! ```
 //!
-//! A header locates the index; the index locates the regions and contains the caller's checkpoint. Each of them has a
+//! A header locates the index; the index locates the regions and contains the caller's checkpoint and the poses of the
+//! scans: 64 bytes a scan, against some 160 for the regions that a scan of a drive adds. Each of them has a
 //! checksum, and begins with a mark, so that it can be found by a search even if its locator is lost
 //! ([`crate::Salvage`]). Numbers are little-endian.
 
+use std::io;
 use std::ops::{AddAssign, Range};
 
 use tsdfuse::MapConfig;
 use tsdfuse::glam::IVec3;
 use tsdfuse::index::{BLOCK_VOXELS, RegionIndex};
+use tsdfuse_io::map_file::{FusedPose, pack_poses, unpack_poses};
 
 /// Every record begins on a page of its own, so that writing one record cannot harm another, not even if the power
 /// fails.
@@ -22,9 +25,12 @@ pub(crate) const PAGE: u64 = 4096;
 
 /// The first bytes of a header.
 pub(crate) const MAGIC: [u8; 8] = *b"TSDFSTO\n";
-const VERSION: u32 = 1;
+/// Version 1 has no poses; it is read.
+const VERSION: u32 = 2;
 /// The first bytes of an index.
-pub(crate) const INDEX_MARK: [u8; 8] = *b"TSDFIDX\n";
+const INDEX_MARK: [u8; 8] = *b"TSDFID2\n";
+/// The same in version 1.
+const INDEX_MARK_1: [u8; 8] = *b"TSDFIDX\n";
 /// The first bytes of a region.
 pub(crate) const REGION_MARK: [u8; 8] = *b"TSDFREG\n";
 
@@ -39,8 +45,10 @@ const MAX_REGION: u32 = 3 << 20;
 const MAX_COORDINATE: u32 = 1 << 25;
 /// Coordinates, blocks, observed voxels, offset, length.
 const ROW: usize = 12 + 8 + 8 + 4;
-/// Mark, sequence, configuration and integrations, numbers of regions and of the checkpoint's bytes.
-pub(crate) const INDEX_HEADER: usize = 16 + STATE + 16;
+/// Mark, sequence, configuration and integrations, numbers of regions, of the checkpoint's bytes and of the poses'.
+pub(crate) const INDEX_HEADER: usize = INDEX_HEADER_1 + 8;
+/// The same in version 1, without the last number.
+const INDEX_HEADER_1: usize = 16 + STATE + 16;
 /// Voxel size, truncation, largest weight, integrations.
 const STATE: usize = 24;
 /// Magic, version, sequence, configuration and integrations, the index's length and offsets; their checksum.
@@ -90,6 +98,8 @@ pub(crate) struct State {
     pub(crate) config: MapConfig,
     pub(crate) integrations: u32,
     pub(crate) checkpoint: Vec<u8>,
+    /// Of the scans that were fused, in that order.
+    pub(crate) poses: Vec<FusedPose>,
 }
 
 /// The root of the file: locates the index.
@@ -153,8 +163,8 @@ impl Header {
             return Err("this is no store of tsdfuse".to_owned());
         }
         let version = fields.u32()?;
-        if version != VERSION {
-            return Err(format!("it has version {version}, read is version {VERSION}"));
+        if !(1..=VERSION).contains(&version) {
+            return Err(format!("it has version {version}, read are versions up to {VERSION}"));
         }
         check(bytes, HEADER)?;
         let sequence = fields.sequence()?;
@@ -171,33 +181,52 @@ impl Header {
 }
 
 impl Index {
-    pub(crate) fn to_bytes(&self) -> Vec<u8> {
+    /// # Errors
+    /// What poses cannot be written.
+    pub(crate) fn to_bytes(&self) -> io::Result<Vec<u8>> {
         let Self {
             sequence,
             state,
             regions,
         } = self;
+        let poses = pack_poses(&state.poses)?;
         let mut bytes = INDEX_MARK.to_vec();
         bytes.extend(sequence.to_le_bytes());
         put_state(&mut bytes, &state.config, state.integrations);
         bytes.extend((regions.len() as u64).to_le_bytes());
         bytes.extend((state.checkpoint.len() as u64).to_le_bytes());
+        bytes.extend((poses.len() as u64).to_le_bytes());
         for row in regions {
             put_key(&mut bytes, row.index, row.sizes);
             bytes.extend(row.extent.offset.to_le_bytes());
             bytes.extend((row.extent.length as u32).to_le_bytes());
         }
         bytes.extend(&state.checkpoint);
-        with_checksum(bytes)
+        bytes.extend(&poses);
+        Ok(with_checksum(bytes))
+    }
+
+    /// Whether an index begins with these bytes.
+    pub(crate) fn begins(start: &[u8]) -> bool {
+        start.starts_with(&INDEX_MARK) || start.starts_with(&INDEX_MARK_1)
     }
 
     /// The length of an index that begins with these bytes.
     pub(crate) fn length(start: &[u8]) -> Result<u64, String> {
-        let mut fields = Fields(start.get(INDEX_HEADER - 16..).unwrap_or_default());
-        let rows = fields.u64()?.checked_mul(ROW as u64);
-        let length = rows.and_then(|rows| rows.checked_add(INDEX_HEADER as u64 + 4));
-        let length = length.zip(Some(fields.u64()?));
-        let length = length.and_then(|(length, checkpoint)| length.checked_add(checkpoint));
+        let mut fields = Fields(start.get(INDEX_HEADER_1 - 16..).unwrap_or_default());
+        let (rows, checkpoint) = (fields.u64()?, fields.u64()?);
+        let (header, poses) = if start.starts_with(&INDEX_MARK) {
+            (INDEX_HEADER, fields.u64()?)
+        } else {
+            (INDEX_HEADER_1, 0)
+        };
+        let parts = [
+            Some(header as u64 + 4),
+            rows.checked_mul(ROW as u64),
+            Some(checkpoint),
+            Some(poses),
+        ];
+        let length = parts.into_iter().try_fold(0u64, |sum, part| sum.checked_add(part?));
         length.ok_or_else(|| "its length is impossible".to_owned())
     }
 
@@ -209,20 +238,24 @@ impl Index {
         }
         check(bytes, bytes.len())?;
         let mut fields = Fields(bytes);
-        if fields.array()? != INDEX_MARK {
+        if !Self::begins(bytes) {
             return Err("no index begins there".to_owned());
         }
+        let has_poses = fields.array()? == INDEX_MARK;
         let sequence = fields.sequence()?;
         let (config, integrations) = fields.state()?;
         let (count, checkpoint) = (fields.u64()?, fields.u64()?);
+        let poses = has_poses.then(|| fields.u64()).transpose()?;
         let regions = (0..count).map(|_| fields.row()).collect::<Result<_, _>>()?;
         let checkpoint = fields.bytes(checkpoint as usize)?.to_owned();
+        let poses = poses.map(|length| unpack_poses(fields.bytes(length as usize)?).map_err(|e| e.to_string()));
         Ok(Self {
             sequence,
             state: State {
                 config,
                 integrations,
                 checkpoint,
+                poses: poses.transpose()?.unwrap_or_default(),
             },
             regions,
         })
@@ -391,6 +424,8 @@ impl<'a> Fields<'a> {
 
 #[cfg(test)]
 mod tests {
+    use tsdfuse::Pose;
+
     use super::*;
 
     fn index_of(regions: Vec<Row>) -> Index {
@@ -398,6 +433,13 @@ mod tests {
             config: MapConfig::default(),
             integrations: 7,
             checkpoint: b"scan 7".to_vec(),
+            poses: vec![
+                FusedPose {
+                    time_ns: Some(7),
+                    pose: Pose::IDENTITY,
+                };
+                7
+            ],
         };
         Index {
             sequence: 3,
@@ -423,7 +465,7 @@ mod tests {
     #[test]
     fn what_is_written_is_read() {
         let index = index_of(vec![row(1, 2), row(2, 512)]);
-        assert_eq!(Index::parse(&index.to_bytes()), Ok(index));
+        assert_eq!(Index::parse(&index.to_bytes().unwrap()), Ok(index));
         let header = Header {
             sequence: 9,
             config: MapConfig::default(),
@@ -437,9 +479,27 @@ mod tests {
         assert_eq!((bytes.len(), Header::parse(&bytes)), (HEADER, Ok(header)));
     }
 
+    /// The index of version 1.
+    fn index_1(index: &Index) -> Vec<u8> {
+        let mut bytes = index.to_bytes().unwrap();
+        let poses = pack_poses(&index.state.poses).unwrap().len();
+        bytes.truncate(bytes.len() - poses - 4);
+        bytes.drain(INDEX_HEADER_1..INDEX_HEADER);
+        bytes[..8].copy_from_slice(&INDEX_MARK_1);
+        with_checksum(bytes)
+    }
+
+    #[test]
+    fn the_first_version_is_read() {
+        let mut index = index_of(vec![row(1, 2), row(2, 512)]);
+        let bytes = index_1(&index);
+        index.state.poses.clear();
+        assert_eq!(Index::parse(&bytes), Ok(index));
+    }
+
     #[test]
     fn what_no_map_has_is_refused_although_the_checksums_are_right() {
-        let refused = |regions| Index::parse(&index_of(regions).to_bytes()).unwrap_err();
+        let refused = |regions| Index::parse(&index_of(regions).to_bytes().unwrap()).unwrap_err();
         assert_eq!(
             refused(vec![row(i32::MAX, 1)]),
             "region [2147483647, -2, 3] lies outside of the grid"
@@ -451,9 +511,12 @@ mod tests {
         assert_eq!(refused(vec![row(0, 513)]), "its sizes are impossible");
         let mut late = index_of(Vec::new());
         late.sequence = u64::MAX;
-        assert_eq!(Index::parse(&late.to_bytes()).unwrap_err(), "its number is impossible");
-        let mut start = index_of(Vec::new()).to_bytes();
-        start[INDEX_HEADER - 16..INDEX_HEADER].fill(0xff);
+        assert_eq!(
+            Index::parse(&late.to_bytes().unwrap()).unwrap_err(),
+            "its number is impossible"
+        );
+        let mut start = index_of(Vec::new()).to_bytes().unwrap();
+        start[INDEX_HEADER - 24..INDEX_HEADER].fill(0xff);
         assert_eq!(Index::parse(&start).unwrap_err(), "its length is impossible");
     }
 }

@@ -9,7 +9,8 @@ use tsdfuse::index::{BlockIndex, Grid, RegionIndex};
 use tsdfuse::map::Block;
 use tsdfuse::mesh::{MeshConfig, MeshSink, RegionSource, Surface, stitch};
 use tsdfuse::{Integration, Integrator, MapConfig, Reach, Scan, VoxelMap};
-use tsdfuse_io::{atomic, map_file::Writer};
+use tsdfuse_io::atomic;
+use tsdfuse_io::map_file::{FusedPose, Writer};
 
 use crate::error::{PagedError, Result, StoreError};
 use crate::file::StoreFile;
@@ -28,6 +29,8 @@ use crate::pager::Pager;
 pub struct PagedMap {
     map: VoxelMap,
     pager: Pager,
+    /// Of the scans that were fused.
+    poses: Vec<FusedPose>,
     is_read_only: bool,
     /// What the last scan could touch.
     reach: Option<Reach>,
@@ -71,10 +74,11 @@ impl PagedMap {
             config: *map.config(),
             integrations: 0,
             checkpoint: checkpoint.to_owned(),
+            poses: Vec::new(),
         };
         let file = StoreFile::create(path.as_ref(), empty)?;
         let pager = Pager::start(file, Vec::new(), &map, limit_bytes)?;
-        Ok(Self::new(map, pager, false))
+        Ok(Self::new(map, pager, Vec::new(), false))
     }
 
     /// Opens a store at its last commit, and returns the map and the checkpoint. Nothing of the map is in memory yet.
@@ -104,13 +108,14 @@ impl PagedMap {
         map.set_integrations(state.integrations);
         let stored = file.regions().collect();
         let pager = Pager::start(file, stored, &map, limit_bytes)?;
-        Ok((Self::new(map, pager, is_read_only), state.checkpoint))
+        Ok((Self::new(map, pager, state.poses, is_read_only), state.checkpoint))
     }
 
-    fn new(map: VoxelMap, pager: Pager, is_read_only: bool) -> Self {
+    fn new(map: VoxelMap, pager: Pager, poses: Vec<FusedPose>, is_read_only: bool) -> Self {
         Self {
             map,
             pager,
+            poses,
             is_read_only,
             broken: None,
             reach: None,
@@ -143,6 +148,16 @@ impl PagedMap {
     /// Continues to count integrations from this number.
     pub fn set_integrations(&mut self, integrations: u32) {
         self.map.set_integrations(integrations);
+    }
+
+    /// The poses of the scans that were fused, as [`PagedMap::add_poses`] was told them.
+    pub fn poses(&self) -> &[FusedPose] {
+        &self.poses
+    }
+
+    /// Adds the poses of scans that were fused. Like the map, they are stored with the next [`PagedMap::commit`].
+    pub fn add_poses(&mut self, poses: &[FusedPose]) {
+        self.poses.extend_from_slice(poses);
     }
 
     /// The regions of the whole map, sorted.
@@ -300,7 +315,10 @@ impl PagedMap {
     /// [`StoreError::File`]. The file keeps the previous commit.
     pub fn commit(&mut self, checkpoint: &[u8]) -> Result<()> {
         self.check_writable()?;
-        self.with_pager(|map, pager| pager.commit(map, checkpoint))
+        let poses = std::mem::take(&mut self.poses);
+        let done = self.with_pager(|map, pager| pager.commit(map, checkpoint, &poses));
+        self.poses = poses;
+        done
     }
 
     /// Visits the regions of the whole map, sorted, each while it is in memory.
@@ -339,7 +357,7 @@ impl PagedMap {
     pub fn save(&mut self, path: impl AsRef<Path>) -> Result<()> {
         let mut failed = None;
         let written = atomic::write(path, |out| {
-            let mut writer = Writer::new(out, self.config(), self.integrations())?;
+            let mut writer = Writer::with_poses(out, self.config(), self.integrations(), &self.poses)?;
             let blocks = self.for_each_region(|map, region| {
                 let mut blocks = map.blocks_of(region);
                 Ok(blocks.try_for_each(|(index, block)| writer.block(index, block))?)

@@ -8,6 +8,7 @@ use rustc_hash::FxBuildHasher;
 use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::map::RegionBlocks;
 use tsdfuse::{Reach, VoxelMap};
+use tsdfuse_io::map_file::FusedPose;
 
 use crate::error::{Result, StoreError};
 use crate::file::StoreFile;
@@ -259,8 +260,8 @@ impl Pager {
         Ok(map.memory_bytes() <= limit_bytes)
     }
 
-    /// Writes everything that is dirty, and makes it and `checkpoint` the state that the next opening finds.
-    pub(crate) fn commit(&mut self, map: &mut VoxelMap, checkpoint: &[u8]) -> Result<()> {
+    /// Writes everything that is dirty, and makes it, `checkpoint` and `poses` the state that the next opening finds.
+    pub(crate) fn commit(&mut self, map: &mut VoxelMap, checkpoint: &[u8], poses: &[FusedPose]) -> Result<()> {
         let dirty = self.regions.iter().filter(|(_, region)| region.place == Place::Dirty);
         let mut dirty: Vec<RegionIndex> = dirty.map(|(&index, _)| index).collect();
         dirty.par_sort_unstable();
@@ -277,6 +278,7 @@ impl Pager {
             config: *map.config(),
             integrations: map.integrations(),
             checkpoint: checkpoint.to_owned(),
+            poses: poses.to_owned(),
         })?;
         loop {
             match self.worker.answer()? {

@@ -7,12 +7,13 @@ use rustc_hash::FxBuildHasher;
 use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::map::Block;
 use tsdfuse::{MapConfig, VoxelMap};
-use tsdfuse_io::{atomic, map_file::Writer};
+use tsdfuse_io::atomic;
+use tsdfuse_io::map_file::{FusedPose, Writer};
 
 use crate::disk::Disk;
 use crate::error::{Result, StoreError};
 use crate::file::{header, read_index, read_region};
-use crate::format::{Extent, INDEX_HEADER, INDEX_MARK, Index, PAGE, REGION_HEADER, REGION_MARK, RegionHeader, Row};
+use crate::format::{Extent, INDEX_HEADER, Index, PAGE, REGION_HEADER, REGION_MARK, RegionHeader, Row};
 
 /// The intact regions of a damaged store.
 ///
@@ -26,6 +27,7 @@ pub struct Salvage {
     config: MapConfig,
     integrations: u32,
     checkpoint: Option<Vec<u8>>,
+    poses: Vec<FusedPose>,
     regions: Vec<Row>,
     damage: Damage,
 }
@@ -85,6 +87,7 @@ impl Salvage {
                 config: index.state.config,
                 integrations: index.state.integrations,
                 checkpoint: Some(index.state.checkpoint),
+                poses: index.state.poses,
                 regions: index.regions,
                 damage: Damage {
                     lost: Some((Vec::new(), 0)),
@@ -97,8 +100,12 @@ impl Salvage {
                 config: header.config,
                 integrations: header.integrations,
                 checkpoint: None,
+                poses: Vec::new(),
                 regions,
-                damage,
+                damage: Damage {
+                    places: [damage.places, vec!["the trajectory is lost".to_owned()]].concat(),
+                    ..damage
+                },
             },
             (Err(_), Err(reason)) => return Err(damaged(reason)),
         };
@@ -138,6 +145,11 @@ impl Salvage {
     /// The checkpoint of the last commit; `None` if it is lost.
     pub fn checkpoint(&self) -> Option<&[u8]> {
         self.checkpoint.as_deref()
+    }
+
+    /// The poses of the scans that were fused before the last commit; none if they are lost.
+    pub fn poses(&self) -> &[FusedPose] {
+        &self.poses
     }
 
     /// What is damaged and what is lost.
@@ -195,7 +207,7 @@ impl Salvage {
     /// As [`Salvage::for_each_block`]; [`StoreError::Save`] names the map file.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let written = atomic::write(path, |out| {
-            let mut writer = Writer::new(out, &self.config, self.integrations)?;
+            let mut writer = Writer::with_poses(out, &self.config, self.integrations, &self.poses)?;
             let blocks = self.for_each_block(|index, block| Ok::<_, StoreError>(writer.block(index, &block)?));
             blocks.map_err(|error| match error {
                 StoreError::Sink(error) => error,
@@ -219,7 +231,7 @@ impl Found {
                 continue;
             }
             // Damaged records are skipped.
-            if start.starts_with(&INDEX_MARK) {
+            if Index::begins(&start) {
                 let _ = found.try_index(disk, offset, &start);
             } else if start.starts_with(&REGION_MARK) {
                 let _ = found.try_region(disk, offset, &start);

@@ -155,7 +155,7 @@ fn a_store_without_any_index_is_recovered_region_by_region() {
     let expected = fused(Method::Raycast, &sensor, &scans[..12]);
     let mut bytes = std::fs::read(&path).unwrap();
     for page in bytes.chunks_mut(4096) {
-        if page.starts_with(b"TSDFIDX\n") {
+        if page.starts_with(b"TSDFID2\n") {
             page.fill(0);
         }
     }
@@ -168,6 +168,8 @@ fn a_store_without_any_index_is_recovered_region_by_region() {
     let salvage = Salvage::scan(&path).unwrap();
     assert_eq!((salvage.checkpoint(), &salvage.damage().lost), (None, &None));
     assert!(salvage.map().unwrap() == expected);
+    assert_eq!(salvage.poses(), []);
+    assert_eq!(salvage.damage().places.last().unwrap(), "the trajectory is lost");
     // It can also be saved without having all of it in memory.
     let saved = dir.path().join("a.tsdf");
     salvage.save(&saved).unwrap();

@@ -6,7 +6,8 @@ use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::map::Block;
 use tsdfuse::mesh::{MeshConfig, MeshSink, extract_with};
 use tsdfuse::{Integration, Integrator, MapConfig, Mesh, Pose, Reach, Scan, VoxelMap};
-use tsdfuse_store::{OverLimit, PagedError, PagedMap, StoreError};
+use tsdfuse_io::map_file::FusedPose;
+use tsdfuse_store::{OverLimit, PagedError, PagedMap, Salvage, StoreError};
 
 use super::{LITTLE, config, drive, fused, fused_with_little, new_store, whole};
 
@@ -61,6 +62,36 @@ fn what_was_committed_is_there_and_nothing_later() {
     let (mut paged, _) = reopened();
     fused_with_little(&mut paged, method, &sensor, &scans[30..], &[]);
     assert!(whole(paged) == fused(method, &sensor, &scans));
+}
+
+#[test]
+fn poses_are_committed_with_the_map() {
+    let dir = tempfile::tempdir().unwrap();
+    let (path, saved) = (dir.path().join("a.store"), dir.path().join("a.tsdf"));
+    let pose = |number: u32| FusedPose {
+        time_ns: (number > 2).then_some(i64::from(number)),
+        pose: Pose {
+            translation: DVec3::X * f64::from(number),
+            ..Pose::IDENTITY
+        },
+    };
+    let poses: Vec<FusedPose> = (0..9).map(pose).collect();
+    let mut paged = new_store(&path);
+    for some in poses[..6].chunks(2) {
+        paged.add_poses(some);
+        paged.commit(b"").unwrap();
+    }
+    paged.add_poses(&poses[6..]);
+    paged.save(&saved).unwrap();
+    assert_eq!(tsdfuse_io::map_file::read_with_poses(&saved).unwrap().1, poses);
+    drop(paged);
+    assert_eq!(Salvage::scan(&path).unwrap().poses(), &poses[..6]);
+    let (mut paged, _) = PagedMap::open(&path, LITTLE).unwrap();
+    assert_eq!(paged.poses(), &poses[..6]);
+    paged.add_poses(&poses[6..]);
+    paged.commit(b"").unwrap();
+    drop(paged);
+    assert_eq!(PagedMap::open_read_only(&path, LITTLE).unwrap().0.poses(), poses);
 }
 
 /// Keeps a mesh.
