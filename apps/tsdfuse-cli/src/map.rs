@@ -12,7 +12,7 @@ use clap::Subcommand;
 use glam::{DQuat, DVec3, EulerRot};
 use serde::Serialize;
 use tsdfuse::{Pose, VoxelMap};
-use tsdfuse_io::map_file::{self, Damage, Reader};
+use tsdfuse_io::map_file::{self, Damage, FusedPose, Reader};
 
 use tsdfuse_run::check_outputs;
 use tsdfuse_run::report::{MapReport, SavedMap};
@@ -20,7 +20,7 @@ use tsdfuse_store::Salvage;
 
 use crate::args::parse_triple;
 use crate::exit::{Outcome, Usage};
-use crate::maps::read;
+use crate::maps::read_with_poses;
 use crate::output::print_json;
 use crate::progress::{note, say, working};
 use crate::terminal;
@@ -135,15 +135,18 @@ struct Done {
 /// A map, and what is to be said of it.
 struct Made {
     map: VoxelMap,
+    /// Of its scans.
+    poses: Vec<FusedPose>,
     limited_voxels: Option<u64>,
     exact: Option<bool>,
     damage: Option<Damage>,
 }
 
-impl From<VoxelMap> for Made {
-    fn from(map: VoxelMap) -> Self {
+impl From<(VoxelMap, Vec<FusedPose>)> for Made {
+    fn from((map, poses): (VoxelMap, Vec<FusedPose>)) -> Self {
         Self {
             map,
+            poses,
             limited_voxels: None,
             exact: None,
             damage: None,
@@ -161,7 +164,7 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
     let spinner = working("working on the map");
     let made = operation.run()?;
     let start = Instant::now();
-    map_file::write(&out.output, &made.map)?;
+    map_file::write_with_poses(&out.output, &made.map, &made.poses)?;
     drop(spinner);
     let done = Done {
         map: MapReport::of(&made.map),
@@ -208,12 +211,14 @@ impl Operation {
             Self::Merge { maps, .. } => merge(maps),
             Self::Crop { map, from, to, .. } => {
                 let (low, high) = (from.unwrap_or(DVec3::NEG_INFINITY), to.unwrap_or(DVec3::INFINITY));
-                let cropped = read(map)?.cropped(low, high).map_err(Usage::new)?;
-                Ok(cropped.into())
+                let (map, poses) = read_with_poses(map)?;
+                // Scans from outside of the box have seen what is in it.
+                Ok((map.cropped(low, high).map_err(Usage::new)?, poses).into())
             }
             Self::Resample { map, voxel_size, .. } => {
-                let resampled = read(map)?.resampled(*voxel_size);
-                Ok(resampled.with_context(|| named(map))?.into())
+                let (old, poses) = read_with_poses(map)?;
+                let resampled = old.resampled(*voxel_size).with_context(|| named(map))?;
+                Ok((resampled, poses).into())
             }
             Self::Transform {
                 map,
@@ -226,11 +231,12 @@ impl Operation {
                     rotation: DQuat::from_euler(EulerRot::ZYX, yaw, pitch, roll),
                     translation: *translation,
                 };
-                let moved = read(map)?.transformed(&pose);
-                let (moved, exact) = moved.with_context(|| named(map))?;
+                let (old, mut poses) = read_with_poses(map)?;
+                let (moved, exact) = old.transformed(&pose).with_context(|| named(map))?;
+                poses.iter_mut().for_each(|fused| fused.pose = pose * fused.pose);
                 Ok(Made {
                     exact: Some(exact),
-                    ..moved.into()
+                    ..(moved, poses).into()
                 })
             }
             Self::Repair { map, .. } if tsdfuse_store::recognises(map) => {
@@ -240,30 +246,31 @@ impl Operation {
                         places: salvage.damage().places.clone(),
                         lost_blocks: salvage.damage().lost.as_ref().map(|(_, blocks)| *blocks),
                     }),
-                    ..salvage.map()?.into()
+                    ..(salvage.map()?, salvage.poses().to_vec()).into()
                 })
             }
             Self::Repair { map, .. } => {
-                let map_file::Repaired { map, damage } = map_file::repair(map)?;
+                let map_file::Repaired { map, poses, damage } = map_file::repair(map)?;
                 Ok(Made {
                     damage: Some(damage),
-                    ..map.into()
+                    ..(map, poses).into()
                 })
             }
         }
     }
 }
 
-/// The first map, with the blocks of the others added as they are read.
+/// The first map, with the blocks of the others added as they are read, and the poses of all, one map after the other.
 fn merge(paths: &[PathBuf]) -> Result<Made> {
     let (first, others) = paths.split_first().context("maps are wanted")?;
-    let mut map = read(first)?;
+    let (mut map, mut poses) = read_with_poses(first)?;
     let mut limited = 0;
     for path in others {
-        let reader = Reader::open(path)?;
+        let mut reader = Reader::open(path)?;
         let same = map.config().check_same(reader.config());
         same.with_context(|| format!("{} and {}", first.display(), path.display()))?;
         let integrations = map.integrations().wrapping_add(reader.integrations());
+        poses.extend(reader.take_poses());
         reader.for_each_block(|index, block| {
             limited += map.add_block(index, &block)?;
             Ok(())
@@ -272,7 +279,7 @@ fn merge(paths: &[PathBuf]) -> Result<Made> {
     }
     Ok(Made {
         limited_voxels: Some(limited),
-        ..map.into()
+        ..(map, poses).into()
     })
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use tsdfuse::VoxelMap;
-use tsdfuse_io::map_file;
+use tsdfuse_io::map_file::{self, FusedPose};
 use tsdfuse_store::PagedMap;
 
 use crate::exit::Usage;
@@ -18,20 +18,20 @@ pub(crate) fn open_store(path: &Path) -> Result<PagedMap> {
     Ok(map)
 }
 
-/// Reads a saved map.
-pub(crate) fn read(path: &Path) -> Result<VoxelMap> {
+/// Reads a saved map and the poses of its scans.
+pub(crate) fn read_with_poses(path: &Path) -> Result<(VoxelMap, Vec<FusedPose>)> {
     if tsdfuse_store::recognises(path) {
         let store = path.display();
         let how = format!("{store}: is a store; tsdfuse map export {store} -o NAME.tsdf makes a map of it");
         return Err(Usage::new(how).into());
     }
-    Ok(map_file::read(path)?)
+    Ok(map_file::read_with_poses(path)?)
 }
 
 /// Reads a saved map, or all of a store.
 pub(crate) fn read_any(path: &Path) -> Result<VoxelMap> {
     if !tsdfuse_store::recognises(path) {
-        return read(path);
+        return Ok(map_file::read(path)?);
     }
     let mut store = open_store(path)?;
     let mut whole = VoxelMap::new(*store.config())?;

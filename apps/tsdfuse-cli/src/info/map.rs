@@ -7,7 +7,9 @@ use glam::{DVec3, IVec3};
 use indicatif::{BinaryBytes, HumanCount};
 use serde::Serialize;
 use tsdfuse::index::voxel_at;
+use tsdfuse::trajectory::secs_between;
 use tsdfuse::{MapConfig, VoxelMap};
+use tsdfuse_io::map_file::FusedPose;
 
 use tsdfuse_run::Checkpoint;
 use tsdfuse_run::report::MapReport;
@@ -26,13 +28,47 @@ pub(super) struct MapInfo {
     map: MapReport,
     /// The corners of the box around all observed voxels, world, metres; of a map.
     extent_m: Option<[DVec3; 2]>,
+    /// Where its scans were fused; nothing where the file does not tell.
+    trajectory: Option<Travelled>,
     /// How many scans of the run are stored, and how many there are; of a store.
     scans: Option<[Option<usize>; 2]>,
 }
 
+/// The trajectory of a map.
+#[derive(Debug, Serialize)]
+struct Travelled {
+    poses: usize,
+    /// From pose to pose, in the order in which the scans were fused.
+    distance_m: f64,
+    /// From the earliest to the latest time, where times are known.
+    seconds: Option<f64>,
+}
+
+impl Travelled {
+    fn of(poses: &[FusedPose]) -> Option<Self> {
+        let step = |pair: &[FusedPose]| pair[0].pose.translation.distance(pair[1].pose.translation);
+        let times = || poses.iter().filter_map(|pose| pose.time_ns);
+        let span = times().min().zip(times().max());
+        (!poses.is_empty()).then(|| Self {
+            poses: poses.len(),
+            distance_m: poses.windows(2).map(step).sum(),
+            seconds: span.map(|(first, last)| secs_between(first, last)),
+        })
+    }
+
+    fn line(&self) -> String {
+        let secs = self.seconds.map_or(String::new(), |secs| format!(" in {secs:.1} s"));
+        format!(
+            "{} poses, {:.1} m{secs}",
+            HumanCount(self.poses as u64),
+            self.distance_m
+        )
+    }
+}
+
 impl MapInfo {
     pub(super) fn read(path: &Path) -> Result<Self> {
-        let map = tsdfuse_io::map_file::read(path)?;
+        let (map, poses) = tsdfuse_io::map_file::read_with_poses(path)?;
         let file = std::fs::metadata(path).with_context(|| path.display().to_string())?;
         Ok(Self {
             path: path.to_owned(),
@@ -41,6 +77,7 @@ impl MapInfo {
             config: *map.config(),
             map: MapReport::of(&map),
             extent_m: extent_m(&map),
+            trajectory: Travelled::of(&poses),
             scans: None,
         })
     }
@@ -57,6 +94,7 @@ impl MapInfo {
             config: *map.config(),
             map: MapReport::of_paged(&map),
             extent_m: None,
+            trajectory: Travelled::of(map.poses()),
             scans: Some([Some(checkpoint.done), checkpoint.asked]),
         })
     }
@@ -90,6 +128,9 @@ impl MapInfo {
         }
         if let Some([low, high]) = self.extent_m {
             rows.add("extent", extent_line(low, high));
+        }
+        if let Some(trajectory) = &self.trajectory {
+            rows.add("trajectory", trajectory.line());
         }
         rows.finish()
     }
