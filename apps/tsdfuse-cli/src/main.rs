@@ -12,6 +12,7 @@ mod maps;
 mod measuring;
 mod mesh;
 mod output;
+mod poses;
 mod progress;
 mod render;
 mod resume;
@@ -41,6 +42,7 @@ enum Command {
     Simulate(simulate::Args),
     Info(info::Args),
     Eval(eval::Args),
+    Poses(poses::Args),
     Evaluate(Box<evaluate::Args>),
     Bench(Box<bench::Args>),
     #[command(hide = true)]
@@ -62,6 +64,7 @@ fn main() -> ExitCode {
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
         Command::Eval(args) => eval::run(args),
+        Command::Poses(args) => poses::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Bench(args) => bench::run(args),
         Command::RunJob => run_job::run(),

@@ -37,6 +37,7 @@ pub mod protocol;
 pub mod reference;
 pub mod sample;
 pub mod stats;
+pub mod trajectory;
 mod voxels;
 
 pub use bounds::Bounds;

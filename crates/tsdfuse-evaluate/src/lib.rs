@@ -5,6 +5,7 @@
 //!   pictures.
 //! - [`Tuning`] searches the method, voxel size and truncation that foretell held-out scans best.
 //! - [`bench::Bench`] tells what each stage takes on this machine, and how far that is from what its memory allows.
+//! - [`trajectories`] shows how two trajectories compare.
 //! - [`mod@reference`], [`colored`] and [`figures`] read what one mesh is compared with, and show how it compares.
 //!
 //! ```no_run
@@ -43,6 +44,7 @@ mod side_by_side;
 mod style;
 pub mod table;
 pub mod tables;
+pub mod trajectories;
 mod truth;
 mod tune;
 mod tuned;

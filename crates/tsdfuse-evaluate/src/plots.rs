@@ -202,7 +202,7 @@ fn bars(rows: &[Row], styles: &[Style]) -> Result<String> {
 }
 
 /// A number without zeros at its end.
-fn brief(value: &f64) -> String {
+pub(crate) fn brief(value: &f64) -> String {
     let text = format!("{value:.3}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
@@ -212,6 +212,6 @@ fn for_any_paper(svg: &str) -> String {
     svg.replace("\"#000000\"", &format!("\"{TEXT}\""))
 }
 
-fn said(error: impl std::fmt::Display) -> Error {
+pub(crate) fn said(error: impl std::fmt::Display) -> Error {
     Error::failed(format_args!("a plot: {error}"))
 }

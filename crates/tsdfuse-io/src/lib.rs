@@ -35,7 +35,7 @@ mod selection;
 pub mod source;
 mod suggested;
 mod text;
-mod times;
+pub mod times;
 mod together;
 #[cfg(feature = "zarr")]
 pub mod zarr;

@@ -10,6 +10,16 @@ use crate::poses::rows_of_scans;
 use crate::present;
 use crate::text::{self, Line};
 
+/// Reads a file of times, one a line: seconds, an integer since 1970 in ms, µs or ns, or date and time of day (UTC). They become
+/// nanoseconds.
+///
+/// # Errors
+/// Names the file, the line and the reason.
+pub fn read(path: impl AsRef<Path>) -> Result<Vec<i64>> {
+    let path = path.as_ref();
+    parse(path, &files::read(path)?)
+}
+
 /// The time of each scan, nanoseconds; `None` where nothing tells it.
 pub(crate) fn of_scans(root: &Path, scans: &[ScanFile]) -> Result<Option<Vec<i64>>> {
     for name in ["times.txt", "timestamps.txt"] {

@@ -21,6 +21,9 @@ fn help_texts_are_as_agreed() {
         ("simulate", &["simulate", "--help"]),
         ("info", &["info", "--help"]),
         ("eval", &["eval", "--help"]),
+        ("poses", &["poses", "--help"]),
+        ("poses_compare", &["poses", "compare", "--help"]),
+        ("poses_convert", &["poses", "convert", "--help"]),
     ] {
         let text = String::from_utf8(tsdfuse(arguments).succeeded().stdout).unwrap();
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/cli/help/{name}.txt"));

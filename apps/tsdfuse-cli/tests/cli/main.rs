@@ -14,6 +14,7 @@ mod info;
 mod map;
 mod paging;
 mod ply;
+mod poses;
 mod render;
 mod rgbd;
 mod run;

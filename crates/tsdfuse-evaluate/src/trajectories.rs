@@ -1,0 +1,272 @@
+//! Two trajectories side by side: the figures as text, and a plot of both from above with the error over the distance.
+
+use std::fmt::Write;
+use std::ops::Range;
+use std::path::Path;
+
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::*;
+use tsdfuse_eval::trajectory::{Compared, Drift, Spread, TrajectoryComparison};
+use tsdfuse_run::report::with_commas;
+
+use crate::error::Result;
+use crate::plots::{brief, said};
+
+/// Width and height of the plot, and how much of the height is the view from above.
+const SIZE: (u32, u32) = (720, 860);
+const ABOVE: i32 = 600;
+/// Around the view from above: left of it and below it are labels.
+const MARGINS: (u32, u32) = (76, 56);
+
+/// After Okabe and Ito, "Color Universal Design", 2008.
+const TRUTH: RGBColor = BLACK;
+const TRACK: RGBColor = RGBColor(213, 94, 0);
+const TURN: RGBColor = RGBColor(0, 114, 178);
+
+/// All figures of a trajectory against a reference.
+pub fn figures(track: &Path, reference: &Path, found: &TrajectoryComparison) -> String {
+    let mut text = String::new();
+    let seconds = found.seconds.map_or(String::new(), |secs| format!(" in {secs:.1} s"));
+    let left_out = match found.left_out {
+        0 => String::new(),
+        n => format!("; {} without a counterpart", with_commas(n as u64)),
+    };
+    // Writing to a String cannot fail.
+    let _ = writeln!(
+        text,
+        "{}\nagainst {}: {} poses, {:.1} m{seconds}{left_out}\n",
+        track.display(),
+        reference.display(),
+        with_commas(found.poses as u64),
+        found.distance_m,
+    );
+    let _ = writeln!(
+        text,
+        "{:18}{:>10}{:>10}{:>10}{:>10}",
+        if found.alignment.is_some() {
+            "after alignment"
+        } else {
+            "as they are"
+        },
+        "RMSE",
+        "mean",
+        "median",
+        "max"
+    );
+    for (name, spread) in [
+        ("position, m", &found.absolute_m),
+        ("orientation, deg", &found.absolute_deg),
+    ] {
+        let Spread {
+            rmse,
+            mean,
+            median,
+            max,
+        } = spread;
+        let _ = writeln!(text, "{name:18}{rmse:>10.4}{mean:>10.4}{median:>10.4}{max:>10.4}");
+    }
+    let _ = writeln!(text, "\n{:18}{:>10}{:>10}{:>10}", "drift over", "%", "deg/m", "pieces");
+    for drift in &found.drift {
+        let [length, ..] = drift.lengths_m.as_slice() else {
+            continue;
+        };
+        line(&mut text, &format!("{length} m"), drift);
+    }
+    if let Some(drift) = &found.kitti
+        && let (Some(first), Some(last)) = (drift.lengths_m.first(), drift.lengths_m.last())
+    {
+        line(&mut text, &format!("{first} to {last} m (KITTI)"), drift);
+    }
+    if found.drift.is_empty() && found.kitti.is_none() {
+        text += "(the drive is too short)\n";
+    }
+    let _ = writeln!(
+        text,
+        "\nlast pose, from the first: off by {:.4} m, {:.4} deg",
+        found.last_m, found.last_deg
+    );
+    text
+}
+
+fn line(text: &mut String, name: &str, drift: &Drift) {
+    let (percent, turn, pieces) = (drift.translation_percent, drift.rotation_deg_per_m, drift.pieces);
+    let _ = writeln!(
+        text,
+        "{name:20}{percent:>8.3}{turn:>10.5}{:>10}",
+        with_commas(pieces as u64)
+    );
+}
+
+/// Both trajectories from above, and below that the error over the distance, as SVG.
+///
+/// # Errors
+/// If it cannot be drawn.
+pub fn plot(found: &TrajectoryComparison) -> Result<String> {
+    let pairs = found.pairs.as_slice();
+    let mut svg = String::new();
+    {
+        let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
+        area.fill(&WHITE).map_err(said)?;
+        let (above, below) = area.split_vertically(ABOVE);
+        from_above(&above, pairs)?;
+        over_distance(&below, pairs)?;
+        area.present().map_err(said)?;
+    }
+    Ok(svg)
+}
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+
+fn from_above(area: &Area<'_>, pairs: &[Compared]) -> Result<()> {
+    let places = |of: fn(&Compared) -> tsdfuse::Pose| {
+        let place = move |pair: &Compared| (of(pair).translation.x, of(pair).translation.y);
+        pairs.iter().map(place).collect::<Vec<_>>()
+    };
+    let lines = [
+        ("reference", TRUTH, places(|pair| pair.reference)),
+        ("trajectory", TRACK, places(|pair| pair.aligned)),
+    ];
+    let all = || lines.iter().flat_map(|(.., points)| points);
+    let pixels = (f64::from(SIZE.0 - MARGINS.0), f64::from(ABOVE) - f64::from(MARGINS.1));
+    let [x, y] = equal_scales([span(all().map(|p| p.0)), span(all().map(|p| p.1))], pixels);
+    let mut chart = ChartBuilder::on(area)
+        .margin(8)
+        .x_label_area_size(40)
+        .y_label_area_size(60)
+        .build_cartesian_2d(x, y)
+        .map_err(said)?;
+    axes(&mut chart, "x, m", "y, m")?;
+    for (name, color, points) in lines {
+        series(&mut chart, name, color, points)?;
+    }
+    legend(&mut chart)
+}
+
+fn over_distance(area: &Area<'_>, pairs: &[Compared]) -> Result<()> {
+    let lines = [
+        ("m", TRACK, (|pair| pair.error_m) as fn(&Compared) -> f64),
+        ("deg", TURN, |pair| pair.error_deg),
+    ];
+    let far = pairs.last().map_or(0.0, |pair| pair.distance_m).max(1e-9);
+    let most = pairs
+        .iter()
+        .flat_map(|pair| [pair.error_m, pair.error_deg])
+        .fold(1e-9, f64::max);
+    let mut chart = ChartBuilder::on(area)
+        .margin(8)
+        .x_label_area_size(40)
+        .y_label_area_size(60)
+        .build_cartesian_2d(0.0..far, 0.0..1.05 * most)
+        .map_err(said)?;
+    axes(&mut chart, "distance, m", "error")?;
+    for (name, color, error) in lines {
+        let points = pairs.iter().map(|pair| (pair.distance_m, error(pair))).collect();
+        series(&mut chart, name, color, points)?;
+    }
+    legend(&mut chart)
+}
+
+type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+fn axes(chart: &mut Chart<'_, '_>, x: &str, y: &str) -> Result<()> {
+    let mut mesh = chart.configure_mesh();
+    mesh.x_desc(x)
+        .y_desc(y)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.15));
+    mesh.x_label_formatter(&brief)
+        .y_label_formatter(&brief)
+        .label_style(("sans-serif", 13))
+        .draw()
+        .map_err(said)
+}
+
+fn series(chart: &mut Chart<'_, '_>, name: &str, color: RGBColor, points: Vec<(f64, f64)>) -> Result<()> {
+    let drawn = chart.draw_series(LineSeries::new(points, color.stroke_width(2)));
+    let key = move |(x, y)| PathElement::new(vec![(x, y), (x + 16, y)], color.stroke_width(2));
+    drawn.map_err(said)?.label(name).legend(key);
+    Ok(())
+}
+
+fn legend<'a, 'b: 'a>(chart: &mut Chart<'a, 'b>) -> Result<()> {
+    let mut labels = chart.configure_series_labels();
+    labels
+        .position(SeriesLabelPosition::UpperRight)
+        .background_style(WHITE.mix(0.8))
+        .label_font(("sans-serif", 13));
+    labels.draw().map_err(said)
+}
+
+fn span(values: impl Iterator<Item = f64>) -> Range<f64> {
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+        (low.min(v), high.max(v))
+    });
+    if low <= high { low..high } else { 0.0..0.0 }
+}
+
+/// Both ranges, wide enough that a metre is as long on both axes, with a margin.
+fn equal_scales(ranges: [Range<f64>; 2], (width, height): (f64, f64)) -> [Range<f64>; 2] {
+    let size = |range: &Range<f64>| range.end - range.start;
+    let metres_a_pixel = (size(&ranges[0]) / width).max(size(&ranges[1]) / height).max(1e-6) * 1.05;
+    let wide = |range: &Range<f64>, pixels: f64| {
+        let (middle, half) = (0.5 * (range.start + range.end), 0.5 * metres_a_pixel * pixels);
+        middle - half..middle + half
+    };
+    [wide(&ranges[0], width), wide(&ranges[1], height)]
+}
+
+#[cfg(test)]
+mod tests {
+    use tsdfuse::Pose;
+    use tsdfuse::glam::DVec3;
+    use tsdfuse_eval::trajectory::{Track, compare};
+
+    use super::*;
+
+    /// A curve, and the same one per cent longer.
+    fn found(poses: i32) -> TrajectoryComparison {
+        let curve = |scale: f64| {
+            let pose = move |i: i32| Pose {
+                translation: DVec3::new(f64::from(i), 20.0 * (0.05 * f64::from(i)).sin(), 0.0) * scale,
+                ..Pose::IDENTITY
+            };
+            Track::Listed((0..poses).map(pose).collect())
+        };
+        compare(&curve(1.01), &curve(1.0), true).unwrap()
+    }
+
+    #[test]
+    fn the_text_tells_all_figures() {
+        let text = figures(Path::new("a.tum"), Path::new("b.tum"), &found(150));
+        for part in [
+            "a.tum\nagainst b.tum: 150 poses, ",
+            "after alignment",
+            "position, m",
+            "10 m ",
+            "50 m ",
+            "100 to 100 m (KITTI)",
+            "last pose, from the first: off by ",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        assert!(figures(Path::new("a"), Path::new("b"), &found(3)).contains("too short"));
+    }
+
+    #[test]
+    fn both_trajectories_are_drawn() {
+        let svg = plot(&found(150)).unwrap();
+        assert!(svg.matches("<polyline").count() >= 4);
+        for name in ["reference", "trajectory", "distance, m", "deg"] {
+            assert!(svg.contains(name), "{name}");
+        }
+        // Standing still is no reason to fail.
+        assert!(plot(&found(1)).is_ok());
+    }
+
+    #[test]
+    fn a_metre_is_as_long_on_both_axes() {
+        let [x, y] = equal_scales([0.0..100.0, 5.0..6.0], (500.0, 400.0));
+        assert!(((x.end - x.start) / 500.0 - (y.end - y.start) / 400.0).abs() < 1e-12);
+        assert!(x.start < 0.0 && x.end > 100.0 && y.start < 5.0 && y.end > 6.0);
+    }
+}
