@@ -128,7 +128,7 @@ fn from_above(area: &Area<'_>, pairs: &[Compared]) -> Result<()> {
     ];
     let all = || lines.iter().flat_map(|(.., points)| points);
     let pixels = (f64::from(SIZE.0 - MARGINS.0), f64::from(ABOVE) - f64::from(MARGINS.1));
-    let [x, y] = equal_scales([span(all().map(|p| p.0)), span(all().map(|p| p.1))], pixels);
+    let [x, y] = equal_scales(&[span(all().map(|p| p.0)), span(all().map(|p| p.1))], pixels);
     let mut chart = ChartBuilder::on(area)
         .margin(8)
         .x_label_area_size(40)
@@ -205,7 +205,7 @@ fn span(values: impl Iterator<Item = f64>) -> Range<f64> {
 }
 
 /// Both ranges, wide enough that a metre is as long on both axes, with a margin.
-fn equal_scales(ranges: [Range<f64>; 2], (width, height): (f64, f64)) -> [Range<f64>; 2] {
+fn equal_scales(ranges: &[Range<f64>; 2], (width, height): (f64, f64)) -> [Range<f64>; 2] {
     let size = |range: &Range<f64>| range.end - range.start;
     let metres_a_pixel = (size(&ranges[0]) / width).max(size(&ranges[1]) / height).max(1e-6) * 1.05;
     let wide = |range: &Range<f64>, pixels: f64| {
@@ -265,7 +265,7 @@ mod tests {
 
     #[test]
     fn a_metre_is_as_long_on_both_axes() {
-        let [x, y] = equal_scales([0.0..100.0, 5.0..6.0], (500.0, 400.0));
+        let [x, y] = equal_scales(&[0.0..100.0, 5.0..6.0], (500.0, 400.0));
         assert!(((x.end - x.start) / 500.0 - (y.end - y.start) / 400.0).abs() < 1e-12);
         assert!(x.start < 0.0 && x.end > 100.0 && y.start < 5.0 && y.end > 6.0);
     }
