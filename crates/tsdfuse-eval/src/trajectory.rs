@@ -5,11 +5,11 @@
 //! use tsdfuse_eval::trajectory::{Track, compare};
 //!
 //! let at = |x: f64, y: f64| Pose { translation: DVec3::new(x, y, 0.0), ..Pose::IDENTITY };
-//! let truth: Vec<Pose> = (0..200).map(|i| at(f64::from(i), f64::from(i).sin())).collect();
+//! let truth: Vec<Pose> = (0..200).map(|i| at(f64::from(i), 20.0 * (0.01 * f64::from(i)).sin())).collect();
 //! // One per cent too long, and in a world of its own.
 //! let odometry = truth.iter().map(|p| at(1.01 * p.translation.x + 7.0, 1.01 * p.translation.y)).collect();
 //! let found = compare(&Track::Listed(odometry), &Track::Listed(truth), true)?;
-//! assert!((found.kitti.unwrap().translation_percent - 1.0).abs() < 0.01);
+//! assert!((found.kitti.unwrap().translation_percent - 1.0).abs() < 0.05);
 //! # Ok::<(), tsdfuse_eval::trajectory::TrajectoryError>(())
 //! ```
 
