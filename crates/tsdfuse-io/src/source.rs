@@ -6,8 +6,8 @@
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
-use tsdfuse::glam::{DQuat, DVec3};
 use tsdfuse::sensor::Pinhole;
+pub use tsdfuse::ImuSample;
 use tsdfuse::{Pose, Scan, SensorModel, Trajectory};
 
 use crate::error::{Error, Result};
@@ -68,19 +68,6 @@ pub struct ScanRef {
     pub pose: Option<Pose>,
 }
 
-/// What an inertial measurement unit measured, in the log's body frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ImuSample {
-    /// Nanoseconds since the log's epoch.
-    pub time_ns: i64,
-    /// Rates of turn about x, y, z, rad/s.
-    pub angular_velocity: DVec3,
-    /// Specific force along x, y, z, m/s²: at rest, gravity's 9.8 m/s² upwards.
-    pub acceleration: DVec3,
-    /// `world_from_imu`, where the unit estimates it.
-    pub orientation: Option<DQuat>,
-}
-
 /// An image of a camera in the log. It is not decoded here: [`Source::read_image`] gives the encoded bytes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImageRef {
@@ -120,7 +107,7 @@ pub trait Source: Send + Sync {
         None
     }
 
-    /// All samples of the inertial measurement unit, in order of time; empty where there is none.
+    /// All samples of the inertial measurement unit in the log's body frame, in order of time; empty where there is none.
     ///
     /// # Errors
     /// Names the file and the reason.

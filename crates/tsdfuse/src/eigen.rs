@@ -13,9 +13,11 @@ use crate::sensor::approx::{atan2, sin_cos};
 
 /// Eigenvalues in ascending order, and a unit eigenvector for each, at right angles to one another; their signs mean nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Eigen {
-    pub(crate) values: [f64; 3],
-    pub(crate) vectors: [DVec3; 3],
+pub struct Eigen {
+    /// In ascending order.
+    pub values: [f64; 3],
+    /// One for each value, of length 1.
+    pub vectors: [DVec3; 3],
 }
 
 /// A matrix as mean + spread·shape, where the shape has no trace and its largest eigenvalues are of size 1 to 2.
@@ -67,7 +69,7 @@ impl Parts {
 }
 
 /// Eigenvalues and eigenvectors of a symmetric matrix of finite numbers.
-pub(crate) fn eigen(m: &DMat3) -> Eigen {
+pub fn eigen(m: &DMat3) -> Eigen {
     let Some(parts) = Parts::of(m) else {
         return Eigen {
             values: [m.x_axis.x; 3],

@@ -50,8 +50,9 @@
 //! The crate reads no files; `tsdfuse-io` does. Work is spread over the threads of the current rayon pool, and the result does not
 //! depend on their number, bit for bit.
 
-mod eigen;
+pub mod eigen;
 pub mod fuse;
+pub mod imu;
 pub mod index;
 mod lanes;
 pub mod map;
@@ -74,6 +75,7 @@ pub use fuse::{
     Surfels,
 };
 pub use glam;
+pub use imu::ImuSample;
 pub use map::{MapConfig, Sample, VoxelMap};
 pub use mesh::Mesh;
 pub use pose::Pose;

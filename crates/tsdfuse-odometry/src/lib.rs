@@ -1,0 +1,9 @@
+#![doc = include_str!("../README.md")]
+
+mod cells;
+mod motion;
+mod register;
+mod sample;
+mod tracker;
+
+pub use tracker::{OdometryConfig, Quality, Tracked, Tracker};

@@ -1,0 +1,123 @@
+//! How the sensor moves during one sweep: poses at even steps of time, and corrections of them.
+
+use std::sync::Arc;
+
+use glam::{DMat3, DQuat, DVec3, Vec3};
+use tsdfuse::Pose;
+
+/// Steps of time in a sweep: motion within one of them is straight.
+pub(crate) const STEPS: usize = 16;
+
+/// A small motion in the world about a centre: first turned about it, then shifted.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Twist {
+    pub(crate) shift: DVec3,
+    /// Axis times angle, radians.
+    pub(crate) turn: DVec3,
+}
+
+impl Twist {
+    /// The point between two twists, as they would be at a share of the time between them.
+    fn between(a: Self, b: Self, share: f64) -> Self {
+        Self {
+            shift: a.shift.lerp(b.shift, share),
+            turn: a.turn.lerp(b.turn, share),
+        }
+    }
+
+    fn apply(&self, pose: &Pose, centre: DVec3) -> Pose {
+        let turn = DQuat::from_scaled_axis(self.turn);
+        Pose {
+            rotation: (turn * pose.rotation).normalize(),
+            translation: centre + turn * (pose.translation - centre) + self.shift,
+        }
+    }
+}
+
+/// Axis times angle of a rotation, the shorter way.
+pub(crate) fn turn_of(rotation: DQuat) -> DVec3 {
+    let q = if rotation.w < 0.0 { -rotation } else { rotation };
+    q.to_scaled_axis()
+}
+
+/// The motion `b_from_a` repeated `s` times, for any real `s`: rotation and translation in proportion.
+pub(crate) fn repeated(motion: &Pose, s: f64) -> Pose {
+    Pose {
+        rotation: DQuat::from_scaled_axis(turn_of(motion.rotation) * s),
+        translation: motion.translation * s,
+    }
+}
+
+/// `world_from_sensor` at even steps from the begin of a sweep to its end.
+#[derive(Clone, Debug)]
+pub(crate) struct Motion {
+    /// At least one; one where the sweep takes no time.
+    pub(crate) poses: Arc<[Pose]>,
+}
+
+impl Motion {
+    /// A sensor at rest.
+    pub(crate) fn still(pose: Pose) -> Self {
+        Self { poses: Arc::new([pose]) }
+    }
+
+    /// From a pose on, by `step` (sensor at the end from sensor at the begin of a sweep) spread evenly.
+    pub(crate) fn steady(begin: Pose, sweep: &Pose) -> Self {
+        let at = |j: usize| begin * repeated(sweep, j as f64 / STEPS as f64);
+        Self { poses: (0..=STEPS).map(at).collect() }
+    }
+
+    pub(crate) fn first(&self) -> Pose {
+        self.poses[0]
+    }
+
+    pub(crate) fn last(&self) -> Pose {
+        self.poses[self.poses.len() - 1]
+    }
+
+    /// The pose at a share of the sweep that is a whole number of steps.
+    pub(crate) fn knot(&self, k: usize, knots: usize) -> Pose {
+        let steps = self.poses.len() - 1;
+        self.poses[if knots > 1 { k * steps / (knots - 1) } else { 0 }]
+    }
+
+    /// Corrected by twists at evenly spaced knots, in proportion between them.
+    pub(crate) fn corrected(&self, twists: &[Twist], centre: DVec3) -> Self {
+        let steps = self.poses.len() - 1;
+        let twist = |j: usize| match twists {
+            [only] => *only,
+            _ => {
+                let at = j as f64 / steps.max(1) as f64 * (twists.len() - 1) as f64;
+                let k = (at as usize).min(twists.len() - 2);
+                Twist::between(twists[k], twists[k + 1], at - k as f64)
+            }
+        };
+        let poses = self.poses.iter().enumerate();
+        Self { poses: poses.map(|(j, pose)| twist(j).apply(pose, centre)).collect() }
+    }
+
+    /// What places points quickly.
+    pub(crate) fn placer(&self) -> Placer {
+        let affine = |pose: &Pose| (DMat3::from_quat(pose.rotation), pose.translation);
+        Placer(self.poses.iter().map(affine).collect())
+    }
+}
+
+/// Places points that were measured at shares (0 to 1) of the sweep.
+pub(crate) struct Placer(Vec<(DMat3, DVec3)>);
+
+impl Placer {
+    pub(crate) fn place(&self, point: Vec3, share: f32) -> DVec3 {
+        let p = point.as_dvec3();
+        let steps = self.0.len() - 1;
+        if steps == 0 {
+            let (turn, shift) = self.0[0];
+            return turn * p + shift;
+        }
+        let at = f64::from(share) * steps as f64;
+        let j = (at as usize).min(steps - 1);
+        let placed = |(turn, shift): (DMat3, DVec3)| turn * p + shift;
+        // Within a step the arc is flatter than a millionth of the range.
+        placed(self.0[j]).lerp(placed(self.0[j + 1]), at - j as f64)
+    }
+}
