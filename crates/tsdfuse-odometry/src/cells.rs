@@ -58,13 +58,6 @@ impl Sums {
         self.sum += other.sum + shift * other.n;
     }
 
-    fn subtract_all(&mut self, other: &Self) {
-        self.n -= other.n;
-        self.sum -= other.sum;
-        self.squares -= other.squares;
-        self.mixed -= other.mixed;
-    }
-
     /// The plane of the points, `centre` being the cell's; `noise` is the standard deviation of a return.
     fn plane(&self, centre: DVec3, size: f64, noise: f64) -> Option<Plane> {
         if self.n < LEAST_POINTS {
@@ -138,6 +131,8 @@ struct Cell {
     /// Points when the plane was fitted last.
     fitted: f64,
     plane: Option<Plane>,
+    /// How far the sensor had moved when points were added last, metres.
+    seen_at: f64,
 }
 
 /// The cells of one size.
@@ -169,7 +164,7 @@ impl Level {
     }
 
     /// Adds what was seen in smaller cells.
-    fn add(&mut self, seen: &[(Key, Sums)], seen_size: f64) {
+    fn add(&mut self, seen: &[(Key, Sums)], seen_size: f64, driven: f64) {
         let shift = (self.size / seen_size).round() as i32;
         for (small, sums) in seen {
             let key = small.map(|v| v.div_euclid(shift));
@@ -181,10 +176,12 @@ impl Level {
                     sums: Sums::default(),
                     fitted: 0.0,
                     plane: None,
+                    seen_at: driven,
                 });
                 self.cells.len() as u32 - 1
             });
             let cell = &mut self.cells[i as usize];
+            cell.seen_at = driven;
             if cell.key != key || cell.sums.n >= MOST_POINTS {
                 continue;
             }
@@ -211,16 +208,13 @@ impl Level {
         }
     }
 
-    fn forget_beyond(&mut self, centre: DVec3, radius: f64) {
+    fn forget(&mut self, centre: DVec3, radius: f64, seen_since: f64) {
         let (size, limit) = (self.size, (radius + self.size).powi(2));
-        let is_near = |key: Key| {
-            let at = (DVec3::from_array(key.map(f64::from)) + 0.5) * size;
-            at.distance_squared(centre) < limit
+        let is_kept = |cell: &Cell| {
+            let at = (DVec3::from_array(cell.key.map(f64::from)) + 0.5) * size;
+            cell.seen_at >= seen_since && at.distance_squared(centre) < limit
         };
-        if self.cells.iter().all(|cell| is_near(cell.key)) {
-            return;
-        }
-        self.cells.retain(|cell| is_near(cell.key));
+        self.cells.retain(is_kept);
         self.index.clear();
         let entries = self.cells.iter().zip(0..).map(|(cell, i)| (packed(cell.key), i));
         self.index.extend(entries);
@@ -254,11 +248,6 @@ impl Cells {
         }
     }
 
-    /// Whether nothing was added.
-    pub(crate) fn is_empty(&self) -> bool {
-        self.levels.iter().all(|level| level.cells.is_empty())
-    }
-
     /// Sorts points of the world into the smallest cells.
     pub(crate) fn seen(&self, points: impl Iterator<Item = DVec3>) -> Seen {
         let mut index: FxHashMap<u64, u32> = FxHashMap::default();
@@ -275,11 +264,11 @@ impl Cells {
         Seen(seen)
     }
 
-    /// Adds points; those of one call count as seen at once.
-    pub(crate) fn add(&mut self, seen: &Seen) {
+    /// Adds points that were seen when the sensor had moved by `driven` metres.
+    pub(crate) fn add(&mut self, seen: &Seen, driven: f64) {
         let (size, noise) = (self.levels[0].size, self.noise);
         self.levels.par_iter_mut().for_each(|level| {
-            level.add(&seen.0, size);
+            level.add(&seen.0, size, driven);
             level.fit(noise);
         });
     }
@@ -294,39 +283,12 @@ impl Cells {
         told.min_by(|a, b| a.2.total_cmp(&b.2))
     }
 
-    /// The mean of the points in the cell that is nearest to a point, among the 27 around it of one size; with the plane, if
-    /// there is one.
-    pub(crate) fn nearest(&self, p: DVec3, level: usize) -> Option<(DVec3, Option<&Plane>)> {
-        let level = &self.levels[level];
-        let [x, y, z] = level.key(p);
-        let mut best: Option<(f64, DVec3, &Cell)> = None;
-        for dx in -1..=1 {
-            for dy in -1..=1 {
-                for dz in -1..=1 {
-                    let Some(cell) = level.get([x + dx, y + dy, z + dz]) else {
-                        continue;
-                    };
-                    let mean = level.centre(cell.key) + cell.sums.sum / cell.sums.n;
-                    let d2 = mean.distance_squared(p);
-                    if best.is_none_or(|(best, ..)| d2 < best) {
-                        best = Some((d2, mean, cell));
-                    }
-                }
-            }
-        }
-        best.map(|(_, mean, cell)| (mean, cell.plane.as_ref()))
-    }
-
-    /// Edge of the cells of a level, metres.
-    pub(crate) fn size(&self, level: usize) -> f64 {
-        self.levels[level].size
-    }
-
-    /// Forgets the cells that are farther from a point than this.
-    pub(crate) fn forget_beyond(&mut self, centre: DVec3, radius: f64) {
+    /// Forgets the cells that are farther from a point than `radius`, and those without points since the sensor had moved by
+    /// `seen_since`.
+    pub(crate) fn forget(&mut self, centre: DVec3, radius: f64, seen_since: f64) {
         self.levels
             .par_iter_mut()
-            .for_each(|level| level.forget_beyond(centre, radius));
+            .for_each(|level| level.forget(centre, radius, seen_since));
     }
 
     /// How many cells there are, of all sizes.

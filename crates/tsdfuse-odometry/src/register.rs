@@ -22,6 +22,12 @@ const GRAIN: usize = 512;
 /// The kernel's width where the motion has converged, in standard deviations.
 const KERNEL: f64 = 2.5;
 
+/// A direction is weak if the returns tell this many times less about it than about the next one, information.
+const WEAK: f64 = 0.05;
+
+/// Planes whose normals have less than this share along a weak direction tell nothing about it but their own error.
+const LEAST_SHARE: f64 = 0.3;
+
 /// Passes at most.
 const MOST_PASSES: usize = 14;
 
@@ -131,8 +137,34 @@ pub(crate) fn recentred(from: DVec3, to: DVec3) -> Matrix6<f64> {
     m
 }
 
+/// The direction of shifts that returns tell little about, if there is one.
+fn weak_direction(rigid: &Matrix6<f64>) -> Option<DVec3> {
+    let column = |c: usize| DVec3::new(rigid[(0, c)], rigid[(1, c)], rigid[(2, c)]);
+    let eigen = tsdfuse::eigen::eigen(&DMat3::from_cols(column(0), column(1), column(2)));
+    (eigen.values[0] < WEAK * eigen.values[1]).then_some(eigen.vectors[0])
+}
+
+/// Returns of planes that do tell about a direction.
+fn telling(cells: &Cells, returns: &[Return], motion: &Motion, direction: DVec3) -> Vec<Return> {
+    let placer = motion.placer();
+    let tells = |r: &&Return| {
+        let plane = cells.plane_at(placer.place(r.point, r.share));
+        plane.is_some_and(|(plane, ..)| plane.normal.dot(direction).abs() > LEAST_SHARE)
+    };
+    let parts = returns.par_chunks(GRAIN).map(|part| part.iter().filter(tells).copied().collect::<Vec<_>>());
+    parts.collect::<Vec<_>>().concat()
+}
+
 /// The sums over all returns for a motion; `width` adds to the kernel's, metres.
-fn sum(cells: &Cells, returns: &[Return], motion: &Motion, knots: usize, centre: DVec3, width: f64) -> Normal {
+fn sum(
+    cells: &Cells,
+    returns: &[Return],
+    motion: &Motion,
+    knots: usize,
+    centre: DVec3,
+    width: f64,
+    weak: Option<DVec3>,
+) -> Normal {
     let (pieces, placer) = (knots.saturating_sub(1).max(1), motion.placer());
     let part = |returns: &[Return]| {
         let mut normal = Normal::new(pieces);
@@ -149,7 +181,14 @@ fn sum(cells: &Cells, returns: &[Return], motion: &Motion, knots: usize, centre:
             let scale = KERNEL * KERNEL * variance + width * width;
             let kernel = scale / (scale + r * r);
             let weight = kernel * kernel / (variance + 0.04 * width * width);
-            let j = derivative(plane.normal, x - centre);
+            // Errors of many planes' normals would hold the sensor where it was.
+            let normal_used = match weak {
+                Some(d) if plane.normal.dot(d).abs() < LEAST_SHARE => plane.normal - d * plane.normal.dot(d),
+                _ => plane.normal,
+            };
+            let mut j = derivative(normal_used, x - centre);
+            let turn = (x - centre).cross(plane.normal);
+            (j[3], j[4], j[5]) = (turn.x, turn.y, turn.z);
             let at = if knots > 1 { f64::from(*share) * pieces as f64 } else { 0.0 };
             let piece = (at as usize).min(pieces - 1);
             let (a, b) = (1.0 - (at - piece as f64), at - piece as f64);
@@ -190,7 +229,11 @@ fn step_error(from: &Pose, to: &Pose, predicted: &Pose, centre: DVec3) -> (Vecto
 }
 
 /// The motion that brings the returns onto the cells' planes.
-pub(crate) fn register(cells: &Cells, returns: &[Return], prediction: &Prediction) -> Registered {
+///
+/// Where the returns tell little about a direction, those of `all` join that do.
+pub(crate) fn register(cells: &Cells, returns: &[Return], all: &[Return], prediction: &Prediction) -> Registered {
+    let mut returns = std::borrow::Cow::Borrowed(returns);
+    let mut weak: Option<DVec3> = None;
     let mut motion = prediction.motion.clone();
     let knots = if motion.poses.len() > 1 { KNOTS } else { 1 };
     let begin = prediction.motion.first();
@@ -199,7 +242,7 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], prediction: &Predictio
     let mut width = prediction.reach;
     let mut passes = 0;
     loop {
-        let normal = sum(cells, returns, &motion, knots, centre, width);
+        let normal = sum(cells, &returns, &motion, knots, centre, width, weak);
         let mut h = DMatrix::<f64>::zeros(size, size);
         let mut g = DVector::<f64>::zeros(size);
         let add = |h: &mut DMatrix<f64>, row: usize, col: usize, m: &Matrix6<f64>| {
@@ -257,7 +300,7 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], prediction: &Predictio
         };
         motion = motion.corrected(&twists, centre);
         let moved = twists.iter().map(|t| t.shift.length() + 10.0 * t.turn.length()).fold(0.0, f64::max);
-        if passes >= MOST_PASSES || (width == 0.0 && moved < 5e-4) {
+        if passes >= MOST_PASSES || (passes > 2 && width == 0.0 && moved < 5e-4) {
             let last = motion.last().translation;
             let end = marginal_of_last(&h, knots);
             let to_last = recentred(centre, last);
@@ -271,6 +314,12 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], prediction: &Predictio
                 rms: (normal.squares / normal.matched.max(1) as f64).sqrt(),
                 passes,
             };
+        }
+        if passes == 2 {
+            weak = weak_direction(&rigid);
+            if let Some(direction) = weak {
+                returns.to_mut().extend(telling(cells, all, &motion, direction));
+            }
         }
         width = if width < 0.02 || (moved < 0.01 && width < 0.1) { 0.0 } else { 0.5 * width };
     }

@@ -26,6 +26,8 @@ pub struct OdometryConfig {
     pub returns: usize,
     /// What was seen is forgotten farther away than this, metres.
     pub keep_m: f64,
+    /// What was seen is forgotten when the sensor has moved on by this since, metres: later, drift would show it twice.
+    pub remember_m: f64,
     /// Most acceleration that is expected, m/s²: how far a sweep may differ from the prediction.
     pub acceleration: f64,
     /// Most change of the rate of turn that is expected, rad/s².
@@ -39,6 +41,7 @@ impl Default for OdometryConfig {
             noise_m: 0.02,
             returns: 6000,
             keep_m: 150.0,
+            remember_m: 60.0,
             acceleration: 6.0,
             turn_acceleration: 6.0,
         }
@@ -78,8 +81,6 @@ struct Last {
     /// Seconds on the scans' clock.
     end: f64,
     motion: Motion,
-    /// Seconds from its begin to its end; 0 for scans without times.
-    secs: f64,
     information: Matrix6<f64>,
     /// Sensor at the end of a second from sensor at its begin.
     velocity: Pose,
@@ -99,7 +100,9 @@ pub struct Tracker {
     last: Option<Last>,
     ready: VecDeque<Tracked>,
     scans: usize,
-    forgotten_at: DVec3,
+    forgotten_at: f64,
+    here: DVec3,
+    driven: f64,
 }
 
 impl Tracker {
@@ -117,7 +120,9 @@ impl Tracker {
             last: None,
             ready: VecDeque::new(),
             scans: 0,
-            forgotten_at: DVec3::ZERO,
+            forgotten_at: 0.0,
+            here: DVec3::ZERO,
+            driven: 0.0,
         }
     }
 
@@ -157,6 +162,7 @@ impl Tracker {
             let secs = span(&first.1);
             motions.0 = moving(Pose::IDENTITY, &velocity, secs);
             self.cells = Cells::new(self.config.cell_m, self.config.noise_m);
+            (self.here, self.driven) = (DVec3::ZERO, 0.0);
             self.see(&first.1, &motions.0);
             let begin = repeated(&velocity, gap);
             let reach = if turn == 0 { 2.0 } else { 0.3 };
@@ -164,6 +170,7 @@ impl Tracker {
             let registered = register(
                 &self.cells,
                 &second.1.sparse,
+                &second.1.dense,
                 &Prediction {
                     motion: moving(begin, &velocity, span(&second.1)),
                     begin: loose,
@@ -177,10 +184,8 @@ impl Tracker {
         }
         self.place(first.0, &motions.0, first.1.span, Quality::default());
         self.see(&second.1, &motions.1);
-        let secs = span(&second.1);
         self.last = Some(Last {
-            end: end_secs(&second.0, &second.1, gap),
-            secs,
+            end: end_secs(&second.0, &second.1),
             motion: motions.1.clone(),
             information: end,
             velocity,
@@ -217,13 +222,13 @@ impl Tracker {
             step_sigma: expected,
             reach: (4.0 * last.innovation.0 + 20.0 * last.innovation.1).clamp(0.05, 1.0),
         };
-        let mut registered = register(&self.cells, &sampled.sparse, &prediction);
+        let mut registered = register(&self.cells, &sampled.sparse, &sampled.dense, &prediction);
         if registered.matched < 0.5 * registered.covered {
             let wide = Prediction {
                 reach: 2.0,
                 ..prediction.clone()
             };
-            let again = register(&self.cells, &sampled.sparse, &wide);
+            let again = register(&self.cells, &sampled.sparse, &sampled.dense, &wide);
             if again.matched > registered.matched {
                 registered = again;
             }
@@ -241,7 +246,6 @@ impl Tracker {
         self.see(sampled, &motion);
         self.last = Some(Last {
             end: begin_at.unwrap_or(last.end + gap) + secs,
-            secs,
             information: registered.end,
             velocity,
             innovation: (calm(last.innovation.0, innovation.0), calm(last.innovation.1, innovation.1)),
@@ -277,11 +281,13 @@ impl Tracker {
         let placer = motion.placer();
         let points = sampled.dense.iter().map(|r| placer.place(r.point, r.share));
         let seen = self.cells.seen(points);
-        self.cells.add(&seen);
+        self.driven += motion.last().translation.distance(self.here);
+        self.here = motion.last().translation;
+        self.cells.add(&seen, self.driven);
         let here = motion.last().translation;
-        if here.distance(self.forgotten_at) > 0.1 * self.config.keep_m {
-            self.cells.forget_beyond(here, self.config.keep_m);
-            self.forgotten_at = here;
+        if self.driven - self.forgotten_at > 0.05 * self.config.remember_m {
+            self.cells.forget(here, self.config.keep_m, self.driven - self.config.remember_m);
+            self.forgotten_at = self.driven;
         }
     }
 
@@ -335,7 +341,7 @@ fn step_secs(first: &(Scan, Sampled), second: &(Scan, Sampled)) -> f64 {
     }
 }
 
-fn end_secs(scan: &Scan, sampled: &Sampled, _gap: f64) -> f64 {
+fn end_secs(scan: &Scan, sampled: &Sampled) -> f64 {
     scan.time_ns.map_or(0.0, |t| secs_between(0, t)) + sampled.span.1
 }
 
