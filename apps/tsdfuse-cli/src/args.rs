@@ -1,6 +1,6 @@
 //! Arguments that several subcommands share: what to fuse, and with what.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Context, Result};
@@ -12,7 +12,7 @@ use tsdfuse::scan::RangeLimits;
 use tsdfuse_io::{
     DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M, OpenOptions, Selection,
 };
-use tsdfuse_run::{Input, Settings};
+use tsdfuse_run::{Input, PosesFrom, Settings};
 
 /// The log and the settings.
 #[derive(Clone, Debug, clap::Args)]
@@ -31,8 +31,9 @@ pub(crate) struct LogArgs {
     /// Fuse only these scans, counted from 0, TO excluded; every STEP-th of them [default: all].
     #[arg(long, value_name = "FROM..TO[:STEP]")]
     pub(crate) scans: Option<Selection>,
-    /// Use these poses instead of the log's own (KITTI or TUM text).
-    #[arg(long, value_name = "FILE")]
+    /// Where poses come from: a file (KITTI or TUM text), the log, or odometry [default: the log, or odometry if it has
+    /// none].
+    #[arg(long, value_name = "FILE|log|track")]
     pub(crate) poses: Option<PathBuf>,
     /// The sensor: one of several in the log (several with commas are fused together), or the model of the only one
     /// (pandar64, hdl64e, vlp16, ...).
@@ -66,12 +67,21 @@ pub(crate) struct LogArgs {
 }
 
 impl LogArgs {
+    /// Where the poses come from.
+    pub(crate) fn poses_from(&self) -> PosesFrom {
+        match self.poses.as_deref().and_then(Path::to_str) {
+            None => PosesFrom::Any,
+            Some("track") => PosesFrom::Track,
+            Some(_) => PosesFrom::Log,
+        }
+    }
+
     /// The log and which of its scans.
     pub(crate) fn input(&self) -> Input {
         Input {
             path: self.log.clone(),
             options: OpenOptions {
-                poses: self.poses.clone(),
+                poses: self.poses.clone().filter(|path| !is_word(path)),
                 sensors: self.sensor.clone(),
                 ..OpenOptions::default()
             },
@@ -110,6 +120,11 @@ impl LogArgs {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.into());
         pool.build_global().with_context(|| format!("--threads {threads}"))
     }
+}
+
+/// Whether it is a word of `--poses` and no file.
+fn is_word(path: &Path) -> bool {
+    path == Path::new("log") || path == Path::new("track")
 }
 
 /// What `--hold-out` may be.

@@ -22,6 +22,7 @@ Examples:
   tsdfuse fuse pandaset/002 --save-map street.tsdf --scans 0..40
   tsdfuse fuse pandaset/002 --load-map street.tsdf -o street.ply --scans 40..80
   tsdfuse fuse drive -o drive.ply --memory 2G --store drive.store
+  tsdfuse fuse drive -o drive.ply --poses track --save-poses drive.tum
   tsdfuse fuse street -o street.ply --config run.toml --set raycast.distance=projective
 
 Settings: defaults < the log's suggestions < --config < --set < flags. A report records the resolved settings.
@@ -52,6 +53,9 @@ pub(crate) struct Args {
     /// Commit the store after every SCANS scans.
     #[arg(long, value_name = "SCANS", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
     commit_every: u32,
+    /// Write the poses of the scans: TUM, or KITTI where scans have no times.
+    #[arg(long, value_name = "FILE")]
+    save_poses: Option<PathBuf>,
     /// Write a picture of the whole result (.png).
     #[arg(long, value_name = "FILE")]
     preview: Option<PathBuf>,
@@ -104,6 +108,7 @@ impl Args {
         input.selection.hold_out = self.hold_out.map(|every| every as usize);
         let mut job = Job {
             input,
+            poses: self.log.poses_from(),
             settings: self.log.settings(self.method.as_deref())?,
             device: self.device.clone(),
             memory_bytes: self.memory.map(|memory| memory.0),
@@ -114,6 +119,7 @@ impl Args {
                 mesh: self.output.clone(),
                 mesh_every: self.mesh_every.map(|every| every as usize),
                 map: self.save_map.clone(),
+                poses: self.save_poses.clone(),
                 preview: self.preview.clone(),
                 report: self.report.clone(),
             },

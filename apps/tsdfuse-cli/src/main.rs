@@ -11,6 +11,7 @@ mod map;
 mod maps;
 mod measuring;
 mod mesh;
+mod odometry;
 mod output;
 mod poses;
 mod progress;
@@ -42,6 +43,7 @@ enum Command {
     Simulate(simulate::Args),
     Info(info::Args),
     Eval(eval::Args),
+    Odometry(odometry::Args),
     Poses(poses::Args),
     Evaluate(Box<evaluate::Args>),
     Bench(Box<bench::Args>),
@@ -64,6 +66,7 @@ fn main() -> ExitCode {
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
         Command::Eval(args) => eval::run(args),
+        Command::Odometry(args) => odometry::run(args),
         Command::Poses(args) => poses::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Bench(args) => bench::run(args),

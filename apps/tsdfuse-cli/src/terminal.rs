@@ -1,7 +1,7 @@
 //! What people see of a run: bars on a terminal, notes, and a few lines in the end.
 
 use indicatif::{BinaryBytes, HumanCount, ProgressBar};
-use tsdfuse_run::report::{FinishReport, MapReport, MeshReport, Report, SavedMap, TilesReport, Totals, ViewReport};
+use tsdfuse_run::report::{OdometryReport, FinishReport, MapReport, MeshReport, Report, SavedMap, TilesReport, Totals, ViewReport};
 use tsdfuse_run::{Event, Observer};
 
 use crate::progress::{self, note, say};
@@ -70,6 +70,34 @@ impl Observer for Terminal {
 }
 
 /// The few lines for people about a run.
+/// What odometry did, and where its poses are not to be trusted.
+fn odometry(report: &OdometryReport, scans: usize) {
+    let OdometryReport {
+        seconds,
+        distance_m,
+        undetermined,
+        unmatched,
+    } = report;
+    say(format_args!(
+        "  poses    by odometry over {distance_m:.1} m, in {seconds:.2} s"
+    ));
+    doubts(*undetermined, *unmatched, scans);
+}
+
+/// Where poses of odometry are not to be trusted.
+pub(crate) fn doubts(undetermined: usize, unmatched: usize, scans: usize) {
+    if undetermined > 0 {
+        say(format_args!(
+            "  note: the returns of {undetermined} of {scans} scans do not tell the position along some direction (a tunnel, a plain); there the motion before goes on"
+        ));
+    }
+    if unmatched > 0 {
+        say(format_args!(
+            "  note: most returns of {unmatched} of {scans} scans do not lie on what was seen before: the trajectory may be broken there"
+        ));
+    }
+}
+
 pub(crate) fn summarize(report: &Report) {
     let Totals {
         scans,
@@ -97,6 +125,7 @@ pub(crate) fn summarize(report: &Report) {
     }
     let (points, fused) = (HumanCount(sums.points), HumanCount(sums.fused));
     say(format_args!("  points   {fused} of {points} fused{}", sums.left_out()));
+    report.odometry.inspect(|odometry| self::odometry(odometry, *scans));
     map(&report.map, report.peak_memory_bytes);
     let (saved, mesh) = (report.saved_map.as_ref(), report.mesh.as_ref());
     mesh.inspect(|report| self::mesh(report));

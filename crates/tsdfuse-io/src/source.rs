@@ -6,8 +6,8 @@
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
-use tsdfuse::sensor::Pinhole;
 pub use tsdfuse::ImuSample;
+use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Pose, Scan, SensorModel, Trajectory};
 
 use crate::error::{Error, Result};

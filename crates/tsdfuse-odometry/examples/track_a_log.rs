@@ -16,11 +16,26 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut spent = 0.0;
     let mut write = |tracker: &mut Tracker| -> std::io::Result<()> {
         while let Some(tracked) = tracker.pop() {
-            let numbers = tracked.scan.pose.unwrap_or_default().to_row_major_3x4().map(|v| v.to_string());
+            let numbers = tracked
+                .scan
+                .pose
+                .unwrap_or_default()
+                .to_row_major_3x4()
+                .map(|v| v.to_string());
             writeln!(file, "{}", numbers.join(" "))?;
-            let Quality { covered, matched, rms_m, position_sigma_m, passes, .. } = tracked.quality;
+            let Quality {
+                covered,
+                matched,
+                rms_m,
+                position_sigma_m,
+                passes,
+                ..
+            } = tracked.quality;
             if std::env::var_os("V").is_some() {
-                eprintln!("{} {covered:.3} {matched:.3} {rms_m:.4} {position_sigma_m:.5} {passes}", tracked.scan.name);
+                eprintln!(
+                    "{} {covered:.3} {matched:.3} {rms_m:.4} {position_sigma_m:.5} {passes}",
+                    tracked.scan.name
+                );
             }
         }
         Ok(())
@@ -36,6 +51,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     tracker.finish();
     write(&mut tracker)?;
-    eprintln!("{scans} scans, {:.1} a second, {} cells", f64::from(scans) / spent, tracker.cells());
+    eprintln!(
+        "{scans} scans, {:.1} a second, {} cells",
+        f64::from(scans) / spent,
+        tracker.cells()
+    );
     Ok(())
 }

@@ -58,13 +58,17 @@ pub(crate) struct Motion {
 impl Motion {
     /// A sensor at rest.
     pub(crate) fn still(pose: Pose) -> Self {
-        Self { poses: Arc::new([pose]) }
+        Self {
+            poses: Arc::new([pose]),
+        }
     }
 
     /// From a pose on, by `step` (sensor at the end from sensor at the begin of a sweep) spread evenly.
     pub(crate) fn steady(begin: Pose, sweep: &Pose) -> Self {
         let at = |j: usize| begin * repeated(sweep, j as f64 / STEPS as f64);
-        Self { poses: (0..=STEPS).map(at).collect() }
+        Self {
+            poses: (0..=STEPS).map(at).collect(),
+        }
     }
 
     pub(crate) fn first(&self) -> Pose {
@@ -93,7 +97,9 @@ impl Motion {
             }
         };
         let poses = self.poses.iter().enumerate();
-        Self { poses: poses.map(|(j, pose)| twist(j).apply(pose, centre)).collect() }
+        Self {
+            poses: poses.map(|(j, pose)| twist(j).apply(pose, centre)).collect(),
+        }
     }
 
     /// What places points quickly.

@@ -151,7 +151,9 @@ fn telling(cells: &Cells, returns: &[Return], motion: &Motion, direction: DVec3)
         let plane = cells.plane_at(placer.place(r.point, r.share));
         plane.is_some_and(|(plane, ..)| plane.normal.dot(direction).abs() > LEAST_SHARE)
     };
-    let parts = returns.par_chunks(GRAIN).map(|part| part.iter().filter(tells).copied().collect::<Vec<_>>());
+    let parts = returns
+        .par_chunks(GRAIN)
+        .map(|part| part.iter().filter(tells).copied().collect::<Vec<_>>());
     parts.collect::<Vec<_>>().concat()
 }
 
@@ -189,7 +191,11 @@ fn sum(
             let mut j = derivative(normal_used, x - centre);
             let turn = (x - centre).cross(plane.normal);
             (j[3], j[4], j[5]) = (turn.x, turn.y, turn.z);
-            let at = if knots > 1 { f64::from(*share) * pieces as f64 } else { 0.0 };
+            let at = if knots > 1 {
+                f64::from(*share) * pieces as f64
+            } else {
+                0.0
+            };
             let piece = (at as usize).min(pieces - 1);
             let (a, b) = (1.0 - (at - piece as f64), at - piece as f64);
             let jj = j * j.transpose() * weight;
@@ -265,14 +271,19 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], all: &[Return], predic
         }
         // Where the last sweep ended.
         let first = motion.first();
-        let off = six(first.translation - begin.translation, turn_of(first.rotation * begin.rotation.conjugate()));
+        let off = six(
+            first.translation - begin.translation,
+            turn_of(first.rotation * begin.rotation.conjugate()),
+        );
         add(&mut h, 0, 0, &prediction.begin);
         let mut side = g.fixed_rows_mut::<6>(0);
         side += prediction.begin * off;
         // The motion as predicted.
         let (shift_sigma, turn_sigma) = prediction.step_sigma;
         let (per_shift, per_turn) = (shift_sigma.powi(-2), turn_sigma.powi(-2));
-        let information = Matrix6::from_diagonal(&Vector6::new(per_shift, per_shift, per_shift, per_turn, per_turn, per_turn));
+        let information = Matrix6::from_diagonal(&Vector6::new(
+            per_shift, per_shift, per_shift, per_turn, per_turn, per_turn,
+        ));
         for k in 0..knots - 1 {
             let (from, to) = (motion.knot(k, knots), motion.knot(k + 1, knots));
             let predicted = prediction.motion.knot(k, knots).inverse() * prediction.motion.knot(k + 1, knots);
@@ -299,7 +310,10 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], all: &[Return], predic
             None => vec![Twist::default(); knots],
         };
         motion = motion.corrected(&twists, centre);
-        let moved = twists.iter().map(|t| t.shift.length() + 10.0 * t.turn.length()).fold(0.0, f64::max);
+        let moved = twists
+            .iter()
+            .map(|t| t.shift.length() + 10.0 * t.turn.length())
+            .fold(0.0, f64::max);
         if passes >= MOST_PASSES || (passes > 2 && width == 0.0 && moved < 5e-4) {
             let last = motion.last().translation;
             let end = marginal_of_last(&h, knots);
@@ -321,7 +335,11 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], all: &[Return], predic
                 returns.to_mut().extend(telling(cells, all, &motion, direction));
             }
         }
-        width = if width < 0.02 || (moved < 0.01 && width < 0.1) { 0.0 } else { 0.5 * width };
+        width = if width < 0.02 || (moved < 0.01 && width < 0.1) {
+            0.0
+        } else {
+            0.5 * width
+        };
     }
 }
 

@@ -48,10 +48,9 @@ impl Sampling {
             _ => 0.0,
         };
         let returns = scan.points.iter().enumerate();
-        let returns = returns.filter(|(_, p)| p.is_finite() && **p != Vec3::ZERO).map(|(i, &point)| Return {
-            point,
-            share: share(i),
-        });
+        let returns = returns
+            .filter(|(_, p)| p.is_finite() && **p != Vec3::ZERO)
+            .map(|(i, &point)| Return { point, share: share(i) });
         let dense = thinned(returns, self.dense_m);
         let sparse = thinned(dense.iter().copied(), self.sparse_m);
         let ratio = sparse.len().max(1) as f32 / self.wanted as f32;

@@ -14,6 +14,9 @@ use crate::motion::{Motion, STEPS, repeated, turn_of};
 use crate::register::{Prediction, Registered, register};
 use crate::sample::{Sampled, Sampling};
 
+/// A scan with fewer returns, evenly spread, is not placed by them.
+const LEAST_RETURNS: usize = 50;
+
 /// Options of the odometry. The defaults suit all rotating LiDARs, indoors and outdoors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -57,13 +60,31 @@ pub struct Quality {
     pub matched: f64,
     /// Root mean square of their distances, metres.
     pub rms_m: f64,
-    /// Standard deviation of the position along its worst direction, from the returns alone, metres; infinite if they do not
+    /// Standard deviation of the position along its worst direction, from the returns alone, metres; 1e6 if they do not
     /// tell.
     pub position_sigma_m: f64,
     /// That direction, of length 1, in the world.
     pub worst_direction: [f64; 3],
     /// Passes of the solver.
     pub passes: usize,
+}
+
+/// A scan whose returns tell the position less well than this along some direction, metres, is undetermined.
+const UNDETERMINED_M: f64 = 0.1;
+
+/// A scan of which a smaller share of the returns lies on what was seen before is unmatched.
+const UNMATCHED: f64 = 0.5;
+
+impl Quality {
+    /// Whether the returns do not tell the position along [`Self::worst_direction`]: there, the motion before went on.
+    pub fn is_undetermined(&self) -> bool {
+        !(self.position_sigma_m <= UNDETERMINED_M)
+    }
+
+    /// Whether most returns do not lie on what was seen before: the trajectory may be broken here.
+    pub fn is_unmatched(&self) -> bool {
+        !(self.matched >= UNMATCHED)
+    }
 }
 
 /// A scan that was placed: its `pose` and `motion` are set.
@@ -99,7 +120,6 @@ pub struct Tracker {
     first: Option<(Scan, Sampled)>,
     last: Option<Last>,
     ready: VecDeque<Tracked>,
-    scans: usize,
     forgotten_at: f64,
     here: DVec3,
     driven: f64,
@@ -119,7 +139,6 @@ impl Tracker {
             first: None,
             last: None,
             ready: VecDeque::new(),
-            scans: 0,
             forgotten_at: 0.0,
             here: DVec3::ZERO,
             driven: 0.0,
@@ -129,12 +148,39 @@ impl Tracker {
     /// Takes the next scan, without invalid returns; its own pose is not looked at.
     pub fn push(&mut self, scan: Scan) {
         let sampled = self.sampling.sample(&scan);
-        self.scans += 1;
+        if sampled.sparse.len() < LEAST_RETURNS {
+            return self.place_blind(scan, &sampled);
+        }
         match (self.first.take(), self.last.is_some()) {
             (None, false) => self.first = Some((scan, sampled)),
             (Some(first), _) => self.begin(first, (scan, sampled)),
             (None, true) => self.track(scan, &sampled),
         }
+    }
+
+    /// A scan with too few returns to be placed by them: the motion before goes on.
+    fn place_blind(&mut self, scan: Scan, sampled: &Sampled) {
+        if let Some((first, _)) = self.first.take() {
+            // Nothing is known of its motion, and it must not come out later than this one.
+            self.place(first, &Motion::still(Pose::IDENTITY), (0.0, 0.0), Quality::default());
+        }
+        let motion = match &self.last {
+            Some(last) => {
+                let secs = sampled.span.1 - sampled.span.0;
+                let begin = last.motion.last() * repeated(&last.velocity, self.gap(last, &scan, sampled));
+                moving(begin, &last.velocity, secs)
+            }
+            None => Motion::still(Pose::IDENTITY),
+        };
+        self.place(scan, &motion, sampled.span, Quality::default());
+    }
+
+    /// Seconds from the end of the last sweep to the begin of this one.
+    fn gap(&self, last: &Last, scan: &Scan, sampled: &Sampled) -> f64 {
+        let begin = scan.time_ns.map(|t| secs_between(0, t) + sampled.span.0);
+        // Without times scans are taken to come ten a second.
+        let usual = 0.1 - (sampled.span.1 - sampled.span.0).min(0.1);
+        begin.map_or(usual, |begin| begin - last.end).clamp(0.0, 10.0)
     }
 
     /// The next scan that is placed.
@@ -174,7 +220,10 @@ impl Tracker {
                 &Prediction {
                     motion: moving(begin, &velocity, span(&second.1)),
                     begin: loose,
-                    step_sigma: (0.01 + 0.1 * 0.5_f64.powi(turn as i32), 0.002 + 0.02 * 0.5_f64.powi(turn as i32)),
+                    step_sigma: (
+                        0.01 + 0.1 * 0.5_f64.powi(turn as i32),
+                        0.002 + 0.02 * 0.5_f64.powi(turn as i32),
+                    ),
                     reach,
                 },
             );
@@ -198,21 +247,27 @@ impl Tracker {
         let Some(last) = self.last.take() else { return };
         let secs = sampled.span.1 - sampled.span.0;
         let begin_at = scan.time_ns.map(|t| secs_between(0, t) + sampled.span.0);
-        // Without times scans are taken to come ten a second.
-        let usual = 0.1 - secs.min(0.1);
-        let gap = begin_at.map_or(usual, |begin| begin - last.end).clamp(0.0, 10.0);
+        let gap = self.gap(&last, &scan, sampled);
         let begin = last.motion.last() * repeated(&last.velocity, gap);
         // From rest to rest of the sweeps' begins.
         let step = (gap + secs).max(1e-3);
-        let own = (0.5 * self.config.acceleration * step * step, 0.5 * self.config.turn_acceleration * step * step);
+        let own = (
+            0.5 * self.config.acceleration * step * step,
+            0.5 * self.config.turn_acceleration * step * step,
+        );
         let expected = (
             (2.0 * last.innovation.0).clamp(0.1 * own.0, own.0.max(0.02)),
             (2.0 * last.innovation.1).clamp(0.1 * own.1, own.1.max(0.004)),
         );
         let spread = |information: Matrix6<f64>, (shift, turn): (f64, f64)| {
             let added = Matrix6::from_diagonal(&[shift, shift, shift, turn, turn, turn].map(|s| s * s).into());
-            let covariance = information.cholesky().map(|c| c.inverse()).unwrap_or_else(Matrix6::identity);
-            (covariance + added).cholesky().map_or_else(Matrix6::identity, |c| c.inverse())
+            let covariance = information
+                .cholesky()
+                .map(|c| c.inverse())
+                .unwrap_or_else(Matrix6::identity);
+            (covariance + added)
+                .cholesky()
+                .map_or_else(Matrix6::identity, |c| c.inverse())
         };
         let slack = if gap > 0.02 * step { (gap / step).min(1.0) } else { 0.02 };
         let information = spread(last.information, (0.002 + slack * own.0, 0.0005 + slack * own.1));
@@ -236,7 +291,13 @@ impl Tracker {
         let motion = registered.motion.clone();
         let off = prediction.motion.last().inverse() * motion.last();
         let innovation = (off.translation.length(), turn_of(off.rotation).length());
-        let calm = |old: f64, new: f64| if new > old { 0.5 * old + 0.5 * new } else { 0.9 * old + 0.1 * new };
+        let calm = |old: f64, new: f64| {
+            if new > old {
+                0.5 * old + 0.5 * new
+            } else {
+                0.9 * old + 0.1 * new
+            }
+        };
         let moved = last.motion.last().inverse() * motion.last();
         let velocity = if secs > 0.0 {
             repeated(&(motion.knot(1, 3).inverse() * motion.last()), 2.0 / secs)
@@ -248,7 +309,10 @@ impl Tracker {
             end: begin_at.unwrap_or(last.end + gap) + secs,
             information: registered.end,
             velocity,
-            innovation: (calm(last.innovation.0, innovation.0), calm(last.innovation.1, innovation.1)),
+            innovation: (
+                calm(last.innovation.0, innovation.0),
+                calm(last.innovation.1, innovation.1),
+            ),
             motion: motion.clone(),
         });
         let quality = self.quality(&registered);
@@ -270,7 +334,7 @@ impl Tracker {
             covered: registered.covered,
             matched: registered.matched,
             rms_m: registered.rms,
-            position_sigma_m: eigen.values[0].max(0.0).sqrt().recip(),
+            position_sigma_m: eigen.values[0].max(1e-12).sqrt().recip(),
             worst_direction: eigen.vectors[0].to_array(),
             passes: registered.passes,
         }
@@ -286,7 +350,8 @@ impl Tracker {
         self.cells.add(&seen, self.driven);
         let here = motion.last().translation;
         if self.driven - self.forgotten_at > 0.05 * self.config.remember_m {
-            self.cells.forget(here, self.config.keep_m, self.driven - self.config.remember_m);
+            self.cells
+                .forget(here, self.config.keep_m, self.driven - self.config.remember_m);
             self.forgotten_at = self.driven;
         }
     }
@@ -299,7 +364,11 @@ impl Tracker {
             scan.pose = Some(motion.first());
         } else {
             let secs = |j: usize| first + (last - first) * j as f64 / steps as f64;
-            let at = motion.poses.iter().enumerate().map(|(j, &pose)| PoseAt { secs: secs(j), pose });
+            let at = motion
+                .poses
+                .iter()
+                .enumerate()
+                .map(|(j, &pose)| PoseAt { secs: secs(j), pose });
             let at: Vec<PoseAt> = at.collect();
             let sweep = tsdfuse::scan::Sweep::new(at[0].pose, &rebased(&at));
             let own = sweep.at(-at[0].secs);

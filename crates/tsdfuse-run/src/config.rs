@@ -8,6 +8,7 @@ use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::surfel::SurfelConfig;
 use tsdfuse_io::Log;
+use tsdfuse_odometry::OdometryConfig;
 
 use crate::error::RunError;
 
@@ -38,6 +39,8 @@ pub struct RunConfig {
     pub patch: PatchConfig,
     /// What becomes surface.
     pub mesh: MeshConfig,
+    /// Options of the odometry, where it finds the poses.
+    pub odometry: OdometryConfig,
 }
 
 impl RunConfig {

@@ -10,6 +10,7 @@ use crate::error::{Result, RunError};
 use crate::event::{Event, Observer};
 use crate::outputs::Outputs;
 use crate::settings::Settings;
+use crate::tracking::PosesFrom;
 
 /// A log and how it is opened.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -29,16 +30,24 @@ impl Input {
     /// Opens the log, and tells what is odd about it.
     ///
     /// # Errors
-    /// As [`tsdfuse_io::open_with`]; [`RunError::Nothing`] if no scan has a pose, [`RunError::Config`] if the selection begins
-    /// beyond the last scan.
+    /// As [`Self::open_unplaced`]; [`RunError::Nothing`] if no scan has a pose.
     pub fn open(&self, observer: &mut dyn Observer) -> Result<Log> {
-        let log = tsdfuse_io::open_with(&self.path, &self.options)?;
-        if log.scans().iter().all(|scan| scan.pose.is_none()) && !log.scans().is_empty() {
+        let log = self.open_unplaced(observer)?;
+        if is_unplaced(&log) {
             let path = self.path.display();
             return Err(RunError::Nothing(format!(
                 "{path}: the poses of its scans are not known: there is no poses.txt or other pose file, and --poses names none"
             )));
         }
+        Ok(log)
+    }
+
+    /// Opens the log, with or without poses, and tells what is odd about it.
+    ///
+    /// # Errors
+    /// As [`tsdfuse_io::open_with`]; [`RunError::Config`] if the selection begins beyond the last scan.
+    pub fn open_unplaced(&self, observer: &mut dyn Observer) -> Result<Log> {
+        let log = tsdfuse_io::open_with(&self.path, &self.options)?;
         log.notes().iter().for_each(|note| observer.on(Event::Note(note)));
         let Some(scans) = log.len() else { return Ok(log) };
         let Selection { from, to, .. } = self.selection;
@@ -75,12 +84,19 @@ impl Input {
     }
 }
 
+/// Whether no scan has a pose.
+pub(crate) fn is_unplaced(log: &Log) -> bool {
+    log.scans().iter().all(|scan| scan.pose.is_none()) && !log.scans().is_empty()
+}
+
 /// A run as data.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Job {
     /// What is fused.
     pub input: Input,
+    /// Where the poses come from.
+    pub poses: PosesFrom,
     /// What is set of the configuration; the rest is the log's or the default.
     pub settings: Settings,
     /// What fuses.
@@ -125,6 +141,7 @@ impl Job {
         let files = [
             &mut outputs.mesh,
             &mut outputs.map,
+            &mut outputs.poses,
             &mut outputs.preview,
             &mut outputs.report,
         ];

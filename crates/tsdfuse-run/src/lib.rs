@@ -36,6 +36,7 @@ mod session;
 mod settings;
 mod setup;
 pub mod surface;
+mod tracking;
 pub mod view;
 
 pub use checkpoint::Checkpoint;
@@ -53,6 +54,8 @@ pub use run::Resumed;
 pub use session::Session;
 pub use settings::Settings;
 pub use setup::Setup;
+pub use tracking::{PosesFrom, TrackedScan, track, write_poses};
+pub use tsdfuse_odometry::{OdometryConfig, Quality};
 
 /// The examples of the README, compiled.
 #[cfg(doctest)]

@@ -18,6 +18,8 @@ pub struct Outputs {
     pub mesh_every: Option<usize>,
     /// The map.
     pub map: Option<PathBuf>,
+    /// The poses of the scans: TUM, or KITTI where scans have no times.
+    pub poses: Option<PathBuf>,
     /// A picture of the whole map.
     pub preview: Option<PathBuf>,
     /// What was done, as JSON.
@@ -26,7 +28,7 @@ pub struct Outputs {
 
 impl Outputs {
     fn files(&self) -> impl Iterator<Item = &Path> {
-        let files = [&self.mesh, &self.map, &self.preview, &self.report];
+        let files = [&self.mesh, &self.map, &self.poses, &self.preview, &self.report];
         files.into_iter().flatten().map(PathBuf::as_path)
     }
 

@@ -12,6 +12,8 @@ use tsdfuse::{SensorModel, VoxelMap};
 use tsdfuse_io::Sensor;
 use tsdfuse_store::PagedMap;
 
+use tsdfuse_odometry::Quality;
+
 use crate::config::RunConfig;
 use crate::error::Result;
 
@@ -36,6 +38,9 @@ pub struct Report {
     pub skipped_scans: Vec<SkippedScan>,
     /// Sums over all scans.
     pub totals: Totals,
+    /// What odometry did, if it found the poses.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub odometry: Option<OdometryReport>,
     /// Whether the run was stopped before the last scan.
     pub stopped: bool,
     /// The map that was continued.
@@ -116,6 +121,22 @@ pub struct ScanReport {
     pub sums: Sums,
     /// Blocks of the map that were made or updated.
     pub updated_blocks: usize,
+    /// How well odometry placed it, if it did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub odometry: Option<Quality>,
+}
+
+/// What odometry did.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct OdometryReport {
+    /// Seconds that it took.
+    pub seconds: f64,
+    /// Distance travelled, metres.
+    pub distance_m: f64,
+    /// Scans whose returns do not tell the position along some direction; there the motion before went on.
+    pub undetermined: usize,
+    /// Scans of which most returns do not lie on what was seen before: the trajectory may be broken there.
+    pub unmatched: usize,
 }
 
 /// What can be added over scans.

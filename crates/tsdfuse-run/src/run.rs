@@ -9,12 +9,13 @@ use tsdfuse_store::PagedMap;
 use crate::checkpoint::Checkpoint;
 use crate::error::{Result, RunError};
 use crate::event::{Event, Observer, Stop};
-use crate::job::Job;
+use crate::job::{Job, is_unplaced};
 use crate::load::Loading;
 use crate::machine::peak_memory_bytes;
 use crate::report::{GrowthReport, LogReport, Report};
 use crate::session::Session;
 use crate::setup::Setup;
+use crate::tracking::PosesFrom;
 
 impl Job {
     /// Runs from the beginning to the last file.
@@ -28,7 +29,10 @@ impl Job {
         if self.memory_bytes.is_some() || self.store.is_some() {
             self.outputs.check_in_parts()?;
         }
-        let log = self.input.open(observer)?;
+        let log = match self.poses {
+            PosesFrom::Log => self.input.open(observer)?,
+            PosesFrom::Any | PosesFrom::Track => self.input.open_unplaced(observer)?,
+        };
         let setup = self.setup(&log)?;
         let session = Session::begin_job(&log, setup, Some(self.absolute()?), observer)?;
         self.go_on(start, &log, session, stop, observer)
@@ -76,6 +80,9 @@ impl Job {
         session.stop_by(stop);
         let growth = self.fuse(&mut session, observer)?;
         let device = session.device();
+        if let Some(path) = &self.outputs.poses {
+            session.write_poses(path)?;
+        }
         let saved_map = self.outputs.map.as_deref().map(|path| {
             observer.on(Event::Working("saving the map"));
             session.save_map(path)
@@ -101,6 +108,7 @@ impl Job {
             dataset: LogReport::of(&self.input.path, log),
             config: session.config().clone(),
             totals,
+            odometry: session.odometry(),
             stopped: session.was_stopped(),
             loaded_map: session.loaded_map().cloned(),
             map: session.map_report(),
@@ -161,6 +169,7 @@ impl Job {
         let defaults = Setup::default();
         Ok(Setup {
             config: settings.resolve(log)?,
+            track: self.poses == PosesFrom::Track || (self.poses == PosesFrom::Any && is_unplaced(log)),
             selection: self.input.selection.clone(),
             skip_bad: self.input.skip_bad,
             device: self.device.clone(),

@@ -23,11 +23,13 @@ use crate::load::Loading;
 use crate::memory::InMemory;
 use crate::paged::Paged;
 use crate::report::{
-    FinishReport, LoadedMap, MapReport, MeshReport, PagingReport, SavedMap, ScanReport, SkippedScan, Sums, Totals,
-    ViewReport,
+    FinishReport, LoadedMap, MapReport, MeshReport, OdometryReport, PagingReport, SavedMap, ScanReport, SkippedScan,
+    Sums, Totals, ViewReport,
 };
 use crate::setup::Setup;
+use crate::tracking::{self, Tracking};
 use crate::view;
+use tsdfuse_odometry::Quality;
 
 /// Scans whose regions are loaded ahead.
 const AHEAD: usize = 3;
@@ -62,6 +64,7 @@ pub struct Session {
     /// What messages call it.
     name: String,
     reading: Option<ReadAhead>,
+    tracking: Option<Tracking>,
     /// Poses of the scans to come, where they are known.
     next: VecDeque<Option<Pose>>,
     backend: Box<dyn Backend>,
@@ -83,6 +86,8 @@ pub struct Session {
     finish: FinishReport,
     begun: Instant,
     seconds: f64,
+    /// Of that, odometry.
+    tracking_secs: f64,
     stop: Stop,
 }
 
@@ -104,6 +109,9 @@ impl Session {
 
     pub(crate) fn begin_job(log: &Log, setup: Setup, job: Option<Job>, observer: &mut dyn Observer) -> Result<Self> {
         setup.check()?;
+        if setup.track {
+            tracking::check(log)?;
+        }
         let sensors: Vec<_> = log.sensors().iter().map(|sensor| sensor.model.clone()).collect();
         let mut checkpoint = Checkpoint {
             job,
@@ -200,6 +208,12 @@ impl Session {
             }
             None => log.read_ahead(&setup.selection),
         };
+        let tracking = setup
+            .track
+            .then(|| Tracking::new(setup.config.odometry, setup.config.range));
+        if tracking.is_some() {
+            next.clear();
+        }
         Self {
             setup,
             name: match &checkpoint.job {
@@ -208,6 +222,7 @@ impl Session {
             },
             log: log.clone(),
             reading: Some(reading),
+            tracking,
             next,
             backend,
             under_way: VecDeque::new(),
@@ -223,6 +238,7 @@ impl Session {
             finish: FinishReport::default(),
             begun: Instant::now(),
             seconds: 0.0,
+            tracking_secs: 0.0,
             stop: Stop::default(),
         }
     }
@@ -266,13 +282,39 @@ impl Session {
         let read = if self.stopped { None } else { reading.next() };
         let Some(read) = read else {
             self.reading = None;
+            if let Some(tracking) = &mut self.tracking {
+                let placed = tracking.finish();
+                self.fuse_placed(placed, 0.0, observer)?;
+            }
             self.settle_all(observer)?;
             return Ok(false);
         };
         let wait = waiting.elapsed().as_secs_f64();
         self.next.pop_front();
-        self.fuse_read(read, wait, observer)?;
+        match &mut self.tracking {
+            Some(tracking) => {
+                let start = Instant::now();
+                let placed = tracking.push(read);
+                self.tracking_secs += start.elapsed().as_secs_f64();
+                self.fuse_placed(placed, wait, observer)?;
+            }
+            None => self.fuse_read(read, None, wait, observer)?,
+        }
         Ok(self.full.is_none())
+    }
+
+    fn fuse_placed(
+        &mut self,
+        placed: Vec<(ReadScan, Option<Quality>)>,
+        wait: f64,
+        observer: &mut dyn Observer,
+    ) -> Result<()> {
+        for (read, quality) in placed {
+            if self.full.is_none() {
+                self.fuse_read(read, quality, wait, observer)?;
+            }
+        }
+        Ok(())
     }
 
     /// Fuses a scan that does not come from the log: of a sensor by its number in the log.
@@ -286,7 +328,7 @@ impl Session {
             scan: Ok(scan),
             read_secs: 0.0,
         };
-        self.fuse_read(read, 0.0, observer)
+        self.fuse_read(read, None, 0.0, observer)
     }
 
     /// Fuses all scans, lets methods that collect scans fuse them, and checks that something came of it.
@@ -322,13 +364,19 @@ impl Session {
     }
 
     /// Fuses a scan, or skips it, and counts it as done.
-    fn fuse_read(&mut self, read: ReadScan, wait: f64, observer: &mut dyn Observer) -> Result<()> {
+    fn fuse_read(
+        &mut self,
+        read: ReadScan,
+        quality: Option<Quality>,
+        wait: f64,
+        observer: &mut dyn Observer,
+    ) -> Result<()> {
         let index = read.index;
         let name = match self.log.scans().get(index) {
             Some(scan) => scan.name.clone(),
             None => format!("scan {index}"),
         };
-        match self.take(read, &name, wait, observer) {
+        match self.take(read, quality, &name, wait, observer) {
             Ok(()) => {}
             Err(RunError::BadScan(BadScan { reason, .. })) if self.setup.skip_bad => {
                 self.skip(index, SkippedScan { name, reason }, observer);
@@ -346,7 +394,14 @@ impl Session {
         Ok(())
     }
 
-    fn take(&mut self, read: ReadScan, name: &str, wait: f64, observer: &mut dyn Observer) -> Result<()> {
+    fn take(
+        &mut self,
+        read: ReadScan,
+        quality: Option<Quality>,
+        name: &str,
+        wait: f64,
+        observer: &mut dyn Observer,
+    ) -> Result<()> {
         let ReadScan { index, sensor, .. } = read;
         let bad = |scan: &str, reason: String| BadScan {
             scan: scan.to_owned(),
@@ -378,6 +433,7 @@ impl Session {
             name: scan.name,
             sums,
             updated_blocks: 0,
+            odometry: quality,
         };
         let time_ns = scan.time_ns;
         let pose = scan.pose.map(|pose| FusedPose { time_ns, pose });
@@ -559,6 +615,20 @@ impl Session {
         }
     }
 
+    /// What odometry did, if it found the poses.
+    pub fn odometry(&self) -> Option<OdometryReport> {
+        self.tracking.as_ref()?;
+        let steps = self.poses.windows(2);
+        let distance = |pair: &[FusedPose]| pair[0].pose.translation.distance(pair[1].pose.translation);
+        let qualities = self.scans.iter().skip(1).filter_map(|scan| scan.odometry);
+        Some(OdometryReport {
+            seconds: self.tracking_secs,
+            distance_m: steps.map(distance).sum(),
+            undetermined: qualities.clone().filter(Quality::is_undetermined).count(),
+            unmatched: qualities.filter(Quality::is_unmatched).count(),
+        })
+    }
+
     /// Whether the session was stopped before the last scan.
     pub fn was_stopped(&self) -> bool {
         self.stopped
@@ -610,6 +680,14 @@ impl Session {
     /// [`RunError::Nothing`] if there is none; if the file cannot be written.
     pub fn write_surface(&mut self, path: &Path) -> Result<MeshReport> {
         self.backend.write_surface(&self.setup.config.mesh, path)
+    }
+
+    /// Writes the poses of the scans so far: as TUM where all have times, else as KITTI.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write_poses(&self, path: &Path) -> Result<()> {
+        tracking::write_poses(path, &self.poses)
     }
 
     /// Saves the map of the scans so far, with their poses.

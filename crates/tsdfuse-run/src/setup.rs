@@ -16,6 +16,8 @@ use crate::error::{Result, RunError};
 pub struct Setup {
     /// What decides the result.
     pub config: RunConfig,
+    /// Whether odometry finds the poses; otherwise they are the log's.
+    pub track: bool,
     /// Which scans are fused.
     pub selection: Selection,
     /// Whether scans that cannot be used are left out; otherwise the first one ends the run.
@@ -40,6 +42,7 @@ impl Default for Setup {
     fn default() -> Self {
         Self {
             config: RunConfig::default(),
+            track: false,
             selection: Selection::default(),
             skip_bad: false,
             device: Device::Cpu,
@@ -74,6 +77,11 @@ impl Setup {
     pub fn check(&self) -> Result<()> {
         self.config.validate()?;
         let is_batch = self.config.method == Method::Roldao && self.config.roldao.form == RoldaoForm::Batch;
+        if self.track && (self.store.is_some() || self.load_map.is_some()) {
+            return Err(RunError::config(
+                "odometry begins a world of its own, which cannot go on with a stored or saved map: write the poses first with `tsdfuse odometry LOG -o poses.tum`, and name them with --poses",
+            ));
+        }
         if self.is_paged() {
             if self.device != Device::Cpu {
                 return Err(RunError::config(
