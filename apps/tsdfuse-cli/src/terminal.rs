@@ -1,7 +1,9 @@
 //! What people see of a run: bars on a terminal, notes, and a few lines in the end.
 
 use indicatif::{BinaryBytes, HumanCount, ProgressBar};
-use tsdfuse_run::report::{OdometryReport, FinishReport, MapReport, MeshReport, Report, SavedMap, TilesReport, Totals, ViewReport};
+use tsdfuse_run::report::{
+    FinishReport, MapReport, MeshReport, OdometryReport, Report, SavedMap, TilesReport, Totals, ViewReport,
+};
 use tsdfuse_run::{Event, Observer};
 
 use crate::progress::{self, note, say};

@@ -357,3 +357,104 @@ fn marginal_of_last(h: &DMatrix<f64>, knots: usize) -> Matrix6<f64> {
     let gone = mixed.transpose() * cholesky.solve(&mixed);
     last - gone.fixed_view::<6, 6>(0, 0)
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DQuat;
+
+    use super::*;
+
+    fn pose(seed: f64) -> Pose {
+        Pose {
+            rotation: DQuat::from_scaled_axis(DVec3::new(seed.sin(), (2.0 * seed).cos(), 0.4)),
+            translation: DVec3::new(3.0 * seed, -2.0, seed * seed),
+        }
+    }
+
+    /// The twist that is `amount` in one of six components.
+    fn unit(component: usize, amount: f64) -> Twist {
+        let mut all = [0.0; 6];
+        all[component] = amount;
+        Twist {
+            shift: DVec3::from_slice(&all[..3]),
+            turn: DVec3::from_slice(&all[3..]),
+        }
+    }
+
+    const H: f64 = 1e-6;
+
+    #[test]
+    fn distances_from_planes_change_as_their_derivatives_say() {
+        let (begin, sweep) = (
+            pose(0.3),
+            Pose {
+                rotation: DQuat::from_rotation_z(0.08),
+                translation: DVec3::new(0.9, 0.1, 0.0),
+            },
+        );
+        let motion = Motion::steady(begin, &sweep);
+        let (centre, normal) = (begin.translation, DVec3::new(0.3, -0.5, 0.8).normalize());
+        let point = Vec3::new(12.0, -7.0, 1.5);
+        for share in [0.0, 0.2, 0.5, 0.77, 1.0_f32] {
+            let x = motion.placer().place(point, share);
+            let j = derivative(normal, x - centre);
+            let at = f64::from(share) * (KNOTS - 1) as f64;
+            for knot in 0..KNOTS {
+                let weight = (1.0 - (at - knot as f64).abs()).max(0.0);
+                for component in 0..6 {
+                    let mut twists = [Twist::default(); KNOTS];
+                    twists[knot] = unit(component, H);
+                    let moved = motion.corrected(&twists, centre).placer().place(point, share);
+                    let measured = normal.dot(moved - x) / H;
+                    assert!(
+                        (measured - weight * j[component]).abs() < 1e-2,
+                        "{share} {knot} {component}: {measured} {}",
+                        weight * j[component]
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn errors_of_steps_change_as_their_derivatives_say() {
+        let (from, to) = (
+            pose(0.3),
+            pose(0.3)
+                * Pose {
+                    rotation: DQuat::from_rotation_y(0.05),
+                    translation: DVec3::X,
+                },
+        );
+        let (predicted, centre) = (from.inverse() * to, DVec3::new(0.5, 0.2, -1.0));
+        let (e, by_from, by_to) = step_error(&from, &to, &predicted, centre);
+        assert!(e.norm() < 1e-12);
+        let moved = |pose: &Pose, twist: Twist| Motion::still(*pose).corrected(&[twist], centre).first();
+        for component in 0..6 {
+            let twist = unit(component, H);
+            let (a, ..) = step_error(&moved(&from, twist), &to, &predicted, centre);
+            let (b, ..) = step_error(&from, &moved(&to, twist), &predicted, centre);
+            for row in 0..6 {
+                assert!(
+                    (a[row] / H - by_from[(row, component)]).abs() < 1e-4,
+                    "{row} {component}"
+                );
+                assert!((b[row] / H - by_to[(row, component)]).abs() < 1e-4, "{row} {component}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_motion_is_the_same_about_any_centre() {
+        let (a, b, x) = (
+            DVec3::new(1.0, 2.0, 3.0),
+            DVec3::new(-4.0, 0.5, 2.0),
+            DVec3::new(7.0, 7.0, -1.0),
+        );
+        let about_b = Vector6::new(0.1, -0.2, 0.3, 0.01, 0.02, -0.03);
+        let about_a = recentred(a, b) * about_b;
+        let moved =
+            |t: &Vector6<f64>, c: DVec3| DVec3::new(t[0], t[1], t[2]) + DVec3::new(t[3], t[4], t[5]).cross(x - c);
+        assert!(moved(&about_a, a).distance(moved(&about_b, b)) < 1e-12);
+    }
+}
