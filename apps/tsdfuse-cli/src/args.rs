@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use crate::exit::Usage;
 use anyhow::{Context, Result};
 use clap::builder::RangedI64ValueParser;
 use glam::DVec3;
@@ -74,6 +75,14 @@ impl LogArgs {
             Some("track") => PosesFrom::Track,
             Some(_) => PosesFrom::Log,
         }
+    }
+
+    /// Refuses odometry, for commands that compare what is made of one trajectory.
+    pub(crate) fn check_poses_known(&self) -> Result<()> {
+        if self.poses_from() == PosesFrom::Track {
+            return Err(Usage::new("--poses track: this command needs poses that are known; write them with `tsdfuse odometry LOG -o poses.tum`").into());
+        }
+        Ok(())
     }
 
     /// The log and which of its scans.

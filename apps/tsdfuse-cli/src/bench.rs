@@ -54,6 +54,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
+    args.log.check_poses_known()?;
     let bench = args.bench()?;
     args.check(&bench.forms)?;
     args.log.set_threads()?;

@@ -88,6 +88,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
+    args.log.check_poses_known()?;
     let forms = Form::chosen(&args.methods, &args.method_set).map_err(told)?;
     if args.tune {
         return tune(args, forms);

@@ -46,6 +46,8 @@ pub(crate) struct Prediction {
     pub(crate) begin: Matrix6<f64>,
     /// How far the motion from knot to knot may be off: metres, radians.
     pub(crate) step_sigma: (f64, f64),
+    /// The same, at most: where returns tell little, the motion lately says nothing about what it may be.
+    pub(crate) most: (f64, f64),
     /// How far points may be off at first, metres.
     pub(crate) reach: f64,
 }
@@ -279,7 +281,10 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], all: &[Return], predic
         let mut side = g.fixed_rows_mut::<6>(0);
         side += prediction.begin * off;
         // The motion as predicted.
-        let (shift_sigma, turn_sigma) = prediction.step_sigma;
+        let (shift_sigma, turn_sigma) = match weak {
+            Some(_) => prediction.most,
+            None => prediction.step_sigma,
+        };
         let (per_shift, per_turn) = (shift_sigma.powi(-2), turn_sigma.powi(-2));
         let information = Matrix6::from_diagonal(&Vector6::new(
             per_shift, per_shift, per_shift, per_turn, per_turn, per_turn,
@@ -333,6 +338,9 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], all: &[Return], predic
             weak = weak_direction(&rigid);
             if let Some(direction) = weak {
                 returns.to_mut().extend(telling(cells, all, &motion, direction));
+                // What errors of normals have moved so far does not count.
+                motion = prediction.motion.clone();
+                width = 2.0 * prediction.reach;
             }
         }
         width = if width < 0.02 || (moved < 0.01 && width < 0.1) {

@@ -1,7 +1,7 @@
 //! Which returns of a scan are used: spread evenly over space.
 
 use glam::Vec3;
-use rustc_hash::FxHashSet;
+use rustc_hash::{FxBuildHasher, FxHashSet};
 use tsdfuse::Scan;
 
 use crate::register::Return;
@@ -18,8 +18,8 @@ pub(crate) struct Sampled {
 }
 
 /// The first return in each cube of space.
-fn thinned(returns: impl Iterator<Item = Return>, size: f32) -> Vec<Return> {
-    let mut taken: FxHashSet<u64> = FxHashSet::default();
+fn thinned(returns: impl Iterator<Item = Return>, size: f32, expected: usize) -> Vec<Return> {
+    let mut taken: FxHashSet<u64> = FxHashSet::with_capacity_and_hasher(expected, FxBuildHasher);
     let cube = |p: Vec3| {
         let bits = |v: f32| u64::from((v / size).floor() as i32 as u32 & 0x1f_ffff);
         bits(p.x) << 42 | bits(p.y) << 21 | bits(p.z)
@@ -51,8 +51,8 @@ impl Sampling {
         let returns = returns
             .filter(|(_, p)| p.is_finite() && **p != Vec3::ZERO)
             .map(|(i, &point)| Return { point, share: share(i) });
-        let dense = thinned(returns, self.dense_m);
-        let sparse = thinned(dense.iter().copied(), self.sparse_m);
+        let dense = thinned(returns, self.dense_m, scan.points.len() / 2);
+        let sparse = thinned(dense.iter().copied(), self.sparse_m, self.wanted);
         let ratio = sparse.len().max(1) as f32 / self.wanted as f32;
         // Returns lie on surfaces: their number falls with the square of the cubes' edge.
         self.sparse_m = (self.sparse_m * ratio.sqrt().clamp(0.7, 1.4)).clamp(self.dense_m, 2.0);

@@ -212,7 +212,8 @@ impl Tracker {
             self.see(&first.1, &motions.0);
             let begin = repeated(&velocity, gap);
             let reach = if turn == 0 { 2.0 } else { 0.3 };
-            let loose = Matrix6::identity() * 1e-2;
+            // A car's speed, and a fast turn.
+            let loose = Matrix6::from_diagonal(&[1.0, 1.0, 1.0, 10.0, 10.0, 10.0].into());
             let registered = register(
                 &self.cells,
                 &second.1.sparse,
@@ -224,6 +225,7 @@ impl Tracker {
                         0.01 + 0.1 * 0.5_f64.powi(turn as i32),
                         0.002 + 0.02 * 0.5_f64.powi(turn as i32),
                     ),
+                    most: (0.05, 0.02),
                     reach,
                 },
             );
@@ -275,6 +277,7 @@ impl Tracker {
             motion: moving(begin, &last.velocity, secs),
             begin: information,
             step_sigma: expected,
+            most: (own.0.max(0.02), own.1.max(0.004)),
             reach: (4.0 * last.innovation.0 + 20.0 * last.innovation.1).clamp(0.05, 1.0),
         };
         let mut registered = register(&self.cells, &sampled.sparse, &sampled.dense, &prediction);

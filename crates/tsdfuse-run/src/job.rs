@@ -32,14 +32,14 @@ impl Input {
     /// # Errors
     /// As [`Self::open_unplaced`]; [`RunError::Nothing`] if no scan has a pose.
     pub fn open(&self, observer: &mut dyn Observer) -> Result<Log> {
-        let log = self.open_unplaced(observer)?;
+        let log = tsdfuse_io::open_with(&self.path, &self.options)?;
         if is_unplaced(&log) {
             let path = self.path.display();
             return Err(RunError::Nothing(format!(
                 "{path}: the poses of its scans are not known: there is no poses.txt or other pose file, and --poses names none"
             )));
         }
-        Ok(log)
+        self.checked(log, observer)
     }
 
     /// Opens the log, with or without poses, and tells what is odd about it.
@@ -48,6 +48,10 @@ impl Input {
     /// As [`tsdfuse_io::open_with`]; [`RunError::Config`] if the selection begins beyond the last scan.
     pub fn open_unplaced(&self, observer: &mut dyn Observer) -> Result<Log> {
         let log = tsdfuse_io::open_with(&self.path, &self.options)?;
+        self.checked(log, observer)
+    }
+
+    fn checked(&self, log: Log, observer: &mut dyn Observer) -> Result<Log> {
         log.notes().iter().for_each(|note| observer.on(Event::Note(note)));
         let Some(scans) = log.len() else { return Ok(log) };
         let Selection { from, to, .. } = self.selection;

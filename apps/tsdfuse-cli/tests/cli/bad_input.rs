@@ -45,8 +45,30 @@ fn damaged_files_are_named() {
     assert!(line.contains("box/rings/000001.u16: "), "{line}");
     let line = fuse_damaged(|f| fs::write(f.path("box/sensor.toml"), "name = 3").unwrap());
     assert!(line.contains("box/sensor.toml: line 1: "), "{line}");
-    let line = fuse_damaged(|f| fs::remove_file(f.path("box/poses.txt")).unwrap());
+}
+
+#[test]
+fn a_log_without_poses_is_tracked_unless_its_own_are_asked_for() {
+    let folder = Folder::new();
+    folder.simulate("box", "box", "vlp16", 8, &[]);
+    fs::remove_file(folder.path("box/poses.txt")).unwrap();
+    let (log, mesh, poses) = (folder.text("box"), folder.text("mesh.ply"), folder.text("poses.tum"));
+    let line = tsdfuse(&["fuse", &log, "-o", &mesh, "--poses", "log"]).failed(1);
     assert!(line.contains("poses.txt"), "{line}");
+    let run = tsdfuse(&["fuse", &log, "-o", &mesh, "--save-poses", &poses]).succeeded();
+    assert!(run.stderr.contains("by odometry"), "{}", run.stderr);
+    let of_fuse = fs::read_to_string(folder.path("poses.tum")).unwrap();
+    assert_eq!(of_fuse.lines().count(), 8);
+    tsdfuse(&["odometry", &log, "-o", &folder.text("alone.tum")]).succeeded();
+    assert_eq!(fs::read_to_string(folder.path("alone.tum")).unwrap(), of_fuse);
+    let run = tsdfuse(&["fuse", &log, "-o", &mesh, "--store", &folder.text("run.store")]);
+    assert!(
+        run.code == 2 && run.stderr.contains("tsdfuse odometry"),
+        "{}",
+        run.stderr
+    );
+    let line = tsdfuse(&["evaluate", &log, "-o", &folder.text("methods"), "--poses", "track"]).failed(2);
+    assert!(line.contains("tsdfuse odometry"), "{line}");
 }
 
 #[test]
