@@ -1,4 +1,5 @@
 //! Short simulated drives against their truth.
+#![allow(clippy::unwrap_used)]
 
 use glam::DVec3;
 use tsdfuse::{Pose, Scan};
