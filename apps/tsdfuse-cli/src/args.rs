@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::exit::Usage;
 use anyhow::{Context, Result};
 use clap::builder::RangedI64ValueParser;
 use glam::DVec3;
@@ -14,6 +13,8 @@ use tsdfuse_io::{
     DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M, OpenOptions, Selection,
 };
 use tsdfuse_run::{Input, PosesFrom, Settings};
+
+use crate::exit::Usage;
 
 /// The log and the settings.
 #[derive(Clone, Debug, clap::Args)]

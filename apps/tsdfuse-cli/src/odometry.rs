@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use serde::Serialize;
+use tsdfuse_run::report::OdometryReport;
 use tsdfuse_run::{RunConfig, TrackedScan, check_outputs, track, write_poses};
 
 use crate::args::LogArgs;
@@ -38,8 +39,8 @@ pub(crate) struct Args {
 /// What is printed as JSON.
 #[derive(Serialize)]
 struct Tracks {
-    distance_m: f64,
-    seconds: f64,
+    #[serde(flatten)]
+    report: OdometryReport,
     scans: Vec<TrackedScan>,
 }
 
@@ -51,37 +52,21 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let config: RunConfig = args.log.settings(None)?.resolve(&log)?;
     let stop = exit::stop_on_interrupt()?;
     let start = Instant::now();
-    let scans = track(
-        &log,
-        &input.selection,
-        config.odometry,
-        config.range,
-        &stop,
-        &mut |_| {},
-    )?;
+    let scans = track(&log, &input.selection, config.odometry, config.range, &stop)?;
     let seconds = start.elapsed().as_secs_f64();
     let poses: Vec<_> = scans.iter().map(|scan| scan.pose).collect();
-    let steps = poses
-        .windows(2)
-        .map(|pair| pair[0].pose.translation.distance(pair[1].pose.translation));
-    let distance_m = steps.sum();
+    let report = OdometryReport::of(seconds, &poses, scans.iter().map(|scan| &scan.quality));
     write_poses(&args.output, &poses)?;
     say(format_args!(
-        "{} scans over {distance_m:.1} m in {seconds:.2} s, {:.1} scans/s; poses in {}",
+        "{} scans over {:.1} m in {seconds:.2} s, {:.1} scans/s; poses in {}",
         scans.len(),
+        report.distance_m,
         scans.len() as f64 / seconds,
         args.output.display()
     ));
-    let count = |is: fn(&TrackedScan) -> bool| scans.iter().skip(1).filter(|scan| is(scan)).count();
-    let undetermined = count(|scan| scan.quality.is_undetermined());
-    let unmatched = count(|scan| scan.quality.is_unmatched());
-    crate::terminal::doubts(undetermined, unmatched, scans.len());
+    crate::terminal::doubts(&report, scans.len());
     if args.json {
-        print_json(&Tracks {
-            distance_m,
-            seconds,
-            scans,
-        })?;
+        print_json(&Tracks { report, scans })?;
     }
     Ok(if stop.is_stopped() {
         Outcome::ScansSkipped

@@ -71,35 +71,35 @@ impl Observer for Terminal {
     }
 }
 
-/// The few lines for people about a run.
 /// What odometry did, and where its poses are not to be trusted.
 fn odometry(report: &OdometryReport, scans: usize) {
-    let OdometryReport {
-        seconds,
-        distance_m,
-        undetermined,
-        unmatched,
-    } = report;
     say(format_args!(
-        "  poses    by odometry over {distance_m:.1} m, in {seconds:.2} s"
+        "  poses    by odometry over {:.1} m, in {:.2} s",
+        report.distance_m, report.seconds
     ));
-    doubts(*undetermined, *unmatched, scans);
+    doubts(report, scans);
 }
 
 /// Where poses of odometry are not to be trusted.
-pub(crate) fn doubts(undetermined: usize, unmatched: usize, scans: usize) {
-    if undetermined > 0 {
+pub(crate) fn doubts(report: &OdometryReport, scans: usize) {
+    let OdometryReport {
+        undetermined,
+        unmatched,
+        ..
+    } = report;
+    if *undetermined > 0 {
         say(format_args!(
             "  note: the returns of {undetermined} of {scans} scans do not tell the position along some direction (a tunnel, a plain); there the motion before goes on"
         ));
     }
-    if unmatched > 0 {
+    if *unmatched > 0 {
         say(format_args!(
             "  note: most returns of {unmatched} of {scans} scans do not lie on what was seen before: the trajectory may be broken there"
         ));
     }
 }
 
+/// The few lines for people about a run.
 pub(crate) fn summarize(report: &Report) {
     let Totals {
         scans,

@@ -14,6 +14,7 @@
 //! ```
 
 use serde::Serialize;
+use tsdfuse::trajectory::distances_m;
 use tsdfuse::{Pose, Trajectory};
 
 use crate::stats::Stats;
@@ -23,8 +24,8 @@ mod drift;
 mod pairs;
 
 use align::aligned;
+use drift::drift;
 pub use drift::{Drift, KITTI_LENGTHS_M};
-use drift::{along, drift};
 pub use pairs::{MAX_GAP_SECS, TrajectoryError};
 use pairs::{Pairs, pairs};
 
@@ -139,7 +140,7 @@ pub fn compare(track: &Track, reference: &Track, align: bool) -> Result<Trajecto
     let alignment = align.then(|| aligned(&poses));
     let reference: Vec<Pose> = poses.iter().map(|pair| pair[1]).collect();
     let estimate: Vec<Pose> = poses.iter().map(|pair| pair[0]).collect();
-    let distances_m = along(&reference);
+    let distances_m = distances_m(&reference).collect::<Vec<_>>();
     let compared = |(pair, &distance_m): (&[Pose; 2], &f64)| {
         let aligned = alignment.map_or(pair[0], |alignment| alignment * pair[0]);
         Compared {

@@ -1,5 +1,6 @@
 //! Plots as SVG, in colours for light and dark paper.
 
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use tsdfuse_eval::stats::Histogram;
 
@@ -102,6 +103,23 @@ fn sums(histogram: &Histogram) -> Vec<(f64, f64)> {
     std::iter::once((0.0, 0.0)).chain((1..).zip(sums).map(end)).collect()
 }
 
+/// A plot with numbers on both axes.
+pub(crate) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// Grid, names and numbers of both axes.
+pub(crate) fn axes(chart: &mut Chart<'_, '_>, x: &str, y: &str) -> Result<()> {
+    let mut mesh = chart.configure_mesh();
+    mesh.x_desc(x)
+        .y_desc(y)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.15));
+    mesh.x_label_formatter(&brief)
+        .y_label_formatter(&brief)
+        .label_style(("sans-serif", 13))
+        .draw()
+        .map_err(said)
+}
+
 /// Lines over 0 … `x_max`, less where they all end earlier.
 fn draw(lines: &[Line], x_max: f64, x_label: &str, y_label: &str) -> Result<String> {
     let points = || lines.iter().flat_map(|line| &line.points);
@@ -120,16 +138,7 @@ fn draw(lines: &[Line], x_max: f64, x_label: &str, y_label: &str) -> Result<Stri
             .y_label_area_size(52)
             .build_cartesian_2d(0.0..x_max, 0.0..y_max * HEADROOM)
             .map_err(said)?;
-        let mut mesh = chart.configure_mesh();
-        mesh.x_desc(x_label)
-            .y_desc(y_label)
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.15));
-        mesh.x_label_formatter(&brief)
-            .y_label_formatter(&brief)
-            .label_style(("sans-serif", 13))
-            .draw()
-            .map_err(said)?;
+        axes(&mut chart, x_label, y_label)?;
         for line in lines {
             let [r, g, b] = line.style.rgb();
             let stroke = RGBColor(r, g, b).stroke_width(2);

@@ -4,13 +4,12 @@ use std::fmt::Write;
 use std::ops::Range;
 use std::path::Path;
 
-use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use tsdfuse_eval::trajectory::{Compared, Drift, Spread, TrajectoryComparison};
 use tsdfuse_run::report::with_commas;
 
 use crate::error::Result;
-use crate::plots::{brief, said};
+use crate::plots::{Chart, axes, said};
 
 /// Width and height of the plot, and how much of the height is the view from above.
 const SIZE: (u32, u32) = (720, 860);
@@ -164,21 +163,6 @@ fn over_distance(area: &Area<'_>, pairs: &[Compared]) -> Result<()> {
         series(&mut chart, name, color, points)?;
     }
     legend(&mut chart)
-}
-
-type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
-
-fn axes(chart: &mut Chart<'_, '_>, x: &str, y: &str) -> Result<()> {
-    let mut mesh = chart.configure_mesh();
-    mesh.x_desc(x)
-        .y_desc(y)
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(BLACK.mix(0.15));
-    mesh.x_label_formatter(&brief)
-        .y_label_formatter(&brief)
-        .label_style(("sans-serif", 13))
-        .draw()
-        .map_err(said)
 }
 
 fn series(chart: &mut Chart<'_, '_>, name: &str, color: RGBColor, points: Vec<(f64, f64)>) -> Result<()> {

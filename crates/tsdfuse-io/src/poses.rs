@@ -51,6 +51,15 @@ impl Poses {
         };
     }
 
+    /// With times, if all poses have one and these ascend.
+    pub fn of(poses: impl Iterator<Item = (Option<i64>, Pose)> + Clone) -> Self {
+        let timed: Option<Vec<_>> = poses.clone().map(|(time_ns, pose)| Some((time_ns?, pose))).collect();
+        match timed.and_then(|timed| Trajectory::new(timed).ok()) {
+            Some(trajectory) => Self::Timed(trajectory),
+            None => Self::Listed(poses.map(|(_, pose)| pose).collect()),
+        }
+    }
+
     fn len(&self) -> usize {
         match self {
             Self::Listed(poses) => poses.len(),

@@ -185,14 +185,11 @@ fn sum(
             let scale = KERNEL * KERNEL * variance + width * width;
             let kernel = scale / (scale + r * r);
             let weight = kernel * kernel / (variance + 0.04 * width * width);
-            // Errors of many planes' normals would hold the sensor where it was.
-            let normal_used = match weak {
-                Some(d) if plane.normal.dot(d).abs() < LEAST_SHARE => plane.normal - d * plane.normal.dot(d),
-                _ => plane.normal,
-            };
-            let mut j = derivative(normal_used, x - centre);
-            let turn = (x - centre).cross(plane.normal);
-            (j[3], j[4], j[5]) = (turn.x, turn.y, turn.z);
+            let mut j = derivative(plane.normal, x - centre);
+            if let Some(d) = weak.filter(|d| plane.normal.dot(*d).abs() < LEAST_SHARE) {
+                // Errors of many planes' normals would hold the sensor where it was.
+                j -= six(d * plane.normal.dot(d), DVec3::ZERO);
+            }
             let at = if knots > 1 {
                 f64::from(*share) * pieces as f64
             } else {

@@ -8,11 +8,12 @@ use serde::{Deserialize, Serialize};
 use tsdfuse::fuse::Skipped;
 use tsdfuse::scan::Dropped;
 use tsdfuse::sensor::Pinhole;
+use tsdfuse::trajectory::length_m;
 use tsdfuse::{SensorModel, VoxelMap};
 use tsdfuse_io::Sensor;
-use tsdfuse_store::PagedMap;
-
+use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_odometry::Quality;
+use tsdfuse_store::PagedMap;
 
 use crate::config::RunConfig;
 use crate::error::Result;
@@ -137,6 +138,19 @@ pub struct OdometryReport {
     pub undetermined: usize,
     /// Scans of which most returns do not lie on what was seen before: the trajectory may be broken there.
     pub unmatched: usize,
+}
+
+impl OdometryReport {
+    /// Of scans that took so long; the first one is placed by no other.
+    pub fn of<'a>(seconds: f64, poses: &[FusedPose], qualities: impl Iterator<Item = &'a Quality> + Clone) -> Self {
+        let count = |is: fn(&Quality) -> bool| qualities.clone().skip(1).filter(|quality| is(quality)).count();
+        Self {
+            seconds,
+            distance_m: length_m(poses.iter().map(|fused| &fused.pose)),
+            undetermined: count(Quality::is_undetermined),
+            unmatched: count(Quality::is_unmatched),
+        }
+    }
 }
 
 /// What can be added over scans.

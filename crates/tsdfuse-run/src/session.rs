@@ -618,15 +618,8 @@ impl Session {
     /// What odometry did, if it found the poses.
     pub fn odometry(&self) -> Option<OdometryReport> {
         self.tracking.as_ref()?;
-        let steps = self.poses.windows(2);
-        let distance = |pair: &[FusedPose]| pair[0].pose.translation.distance(pair[1].pose.translation);
-        let qualities = self.scans.iter().skip(1).filter_map(|scan| scan.odometry);
-        Some(OdometryReport {
-            seconds: self.tracking_secs,
-            distance_m: steps.map(distance).sum(),
-            undetermined: qualities.clone().filter(Quality::is_undetermined).count(),
-            unmatched: qualities.filter(Quality::is_unmatched).count(),
-        })
+        let qualities = self.scans.iter().filter_map(|scan| scan.odometry.as_ref());
+        Some(OdometryReport::of(self.tracking_secs, &self.poses, qualities))
     }
 
     /// Whether the session was stopped before the last scan.

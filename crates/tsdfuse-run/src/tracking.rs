@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use tsdfuse::Pose;
 use tsdfuse::scan::RangeLimits;
-use tsdfuse::{Pose, Trajectory};
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::poses::{self, Poses};
 use tsdfuse_io::{Log, ReadScan, Selection};
@@ -30,7 +30,7 @@ pub enum PosesFrom {
 /// Scans on their way through the tracker.
 pub(crate) struct Tracking {
     tracker: Tracker,
-    /// What was read with the scans that are not placed yet.
+    /// What was read with the scans that are not placed yet, which the tracker has.
     waiting: VecDeque<ReadScan>,
     limits: RangeLimits,
 }
@@ -45,40 +45,15 @@ impl Tracking {
     }
 
     /// Takes a scan; those that are placed come out, in order. Scans that could not be read come out at once.
-    pub(crate) fn push(&mut self, read: ReadScan) -> Vec<(ReadScan, Option<Quality>)> {
-        let ReadScan {
-            index,
-            sensor,
-            scan,
-            read_secs,
-        } = read;
-        match scan {
-            Ok(mut scan) => {
+    pub(crate) fn push(&mut self, mut read: ReadScan) -> Vec<(ReadScan, Option<Quality>)> {
+        match &mut read.scan {
+            Ok(scan) => {
                 scan.drop_invalid(&self.limits);
-                let name = scan.name.clone();
-                self.tracker.push(scan);
-                // Its place is taken by the placed scan.
-                let scan = Err(tsdfuse_io::Error::dataset(&name, "is not placed yet"));
-                self.waiting.push_back(ReadScan {
-                    index,
-                    sensor,
-                    scan,
-                    read_secs,
-                });
+                self.tracker.push(std::mem::take(scan));
+                self.waiting.push_back(read);
                 self.placed()
             }
-            Err(error) => {
-                let scan = Err(error);
-                vec![(
-                    ReadScan {
-                        index,
-                        sensor,
-                        scan,
-                        read_secs,
-                    },
-                    None,
-                )]
-            }
+            Err(_) => vec![(read, None)],
         }
     }
 
@@ -117,7 +92,7 @@ pub struct TrackedScan {
     pub quality: Quality,
 }
 
-/// Tracks the selected scans of a log, without a map; `each` is told of every scan.
+/// Tracks the selected scans of a log, without a map.
 ///
 /// # Errors
 /// [`RunError::BadScan`] for a scan that cannot be read; [`RunError::Config`] if the log has several sensors or depth images.
@@ -127,7 +102,6 @@ pub fn track(
     config: OdometryConfig,
     limits: RangeLimits,
     stop: &Stop,
-    each: &mut dyn FnMut(&TrackedScan),
 ) -> Result<Vec<TrackedScan>> {
     check(log)?;
     let mut tracking = Tracking::new(config, limits);
@@ -142,14 +116,12 @@ pub fn track(
                 })
             })?;
             let (pose, time_ns) = (scan.pose.unwrap_or(Pose::IDENTITY), scan.time_ns);
-            let tracked = TrackedScan {
+            all.push(TrackedScan {
                 index,
                 name: scan.name,
                 pose: FusedPose { time_ns, pose },
                 quality: quality.unwrap_or_default(),
-            };
-            each(&tracked);
-            all.push(tracked);
+            });
         }
         Ok::<_, RunError>(())
     };
@@ -168,12 +140,8 @@ pub fn track(
 /// # Errors
 /// If the file cannot be written.
 pub fn write_poses(path: &Path, poses: &[FusedPose]) -> Result<()> {
-    let timed: Option<Vec<_>> = poses.iter().map(|p| Some((p.time_ns?, p.pose))).collect();
-    let poses = match timed.and_then(|timed| Trajectory::new(timed).ok()) {
-        Some(trajectory) => Poses::Timed(trajectory),
-        None => Poses::Listed(poses.iter().map(|p| p.pose).collect()),
-    };
-    Ok(poses::write(path, &poses)?)
+    let poses = poses.iter().map(|fused| (fused.time_ns, fused.pose));
+    Ok(poses::write(path, &Poses::of(poses))?)
 }
 
 /// Whether a log can be tracked.

@@ -163,9 +163,25 @@ impl Trajectory {
 
     /// The distance travelled along the poses, metres.
     pub fn length_m(&self) -> f64 {
-        let step = |pair: &[Pose]| DVec3::distance(pair[0].translation, pair[1].translation);
-        self.poses.windows(2).map(step).sum()
+        length_m(&self.poses)
     }
+}
+
+/// The distance travelled from pose to pose, metres.
+pub fn length_m<'a>(poses: impl IntoIterator<Item = &'a Pose>) -> f64 {
+    distances_m(poses).last().unwrap_or(0.0)
+}
+
+/// The distance travelled up to each pose, metres.
+pub fn distances_m<'a>(poses: impl IntoIterator<Item = &'a Pose>) -> impl Iterator<Item = f64> {
+    let steps = poses.into_iter().scan(None, |last: &mut Option<DVec3>, pose| {
+        let last = last.replace(pose.translation);
+        Some(last.map_or(0.0, |last| last.distance(pose.translation)))
+    });
+    steps.scan(0.0, |sum, step| {
+        *sum += step;
+        Some(*sum)
+    })
 }
 
 #[cfg(test)]

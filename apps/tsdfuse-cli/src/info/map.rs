@@ -7,7 +7,7 @@ use glam::{DVec3, IVec3};
 use indicatif::{BinaryBytes, HumanCount};
 use serde::Serialize;
 use tsdfuse::index::voxel_at;
-use tsdfuse::trajectory::secs_between;
+use tsdfuse::trajectory::{length_m, secs_between};
 use tsdfuse::{MapConfig, VoxelMap};
 use tsdfuse_io::map_file::FusedPose;
 
@@ -46,12 +46,11 @@ struct Travelled {
 
 impl Travelled {
     fn of(poses: &[FusedPose]) -> Option<Self> {
-        let step = |pair: &[FusedPose]| pair[0].pose.translation.distance(pair[1].pose.translation);
         let times = || poses.iter().filter_map(|pose| pose.time_ns);
         let span = times().min().zip(times().max());
         (!poses.is_empty()).then(|| Self {
             poses: poses.len(),
-            distance_m: poses.windows(2).map(step).sum(),
+            distance_m: length_m(poses.iter().map(|fused| &fused.pose)),
             seconds: span.map(|(first, last)| secs_between(first, last)),
         })
     }

@@ -20,20 +20,8 @@ pub struct Drift {
     pub rotation_deg_per_m: f64,
 }
 
-/// The distance along the poses up to each, metres.
-pub(super) fn along(poses: &[Pose]) -> Vec<f64> {
-    let steps = poses
-        .windows(2)
-        .map(|pair| pair[0].translation.distance(pair[1].translation));
-    let sums = steps.scan(0.0, |sum, step| {
-        *sum += step;
-        Some(*sum)
-    });
-    poses.iter().take(1).map(|_| 0.0).chain(sums).collect()
-}
-
 /// The mean drift over all pieces of these lengths along the reference that begin at each `step`-th pose, as KITTI's development
-/// kit has it; `None` if there are none. `distances_m` are [`along`] the reference.
+/// kit has it; `None` if there are none. `distances_m` are those along the reference.
 pub(super) fn drift(
     estimate: &[Pose],
     reference: &[Pose],
