@@ -1,0 +1,81 @@
+//! Feeds each parser with arbitrary bytes, for the targets in `fuzz/`. Not part of the library's interface.
+
+use crate::{Calibration, Decoder, Sensor};
+
+/// A calibration, of whatever kind it looks like.
+pub fn calibration(bytes: &[u8]) {
+    if let Ok(calibration) = Calibration::parse(bytes) {
+        for sensor in Sensor::ALL {
+            if let Ok(decoder) = Decoder::new(sensor, calibration.clone()) {
+                let _ = decoder.model();
+            }
+        }
+    }
+}
+
+/// A packet of each sensor, as it is and as long as that sensor's; columns agree in length, and there is no more in a sweep than
+/// was in its packets.
+///
+/// # Panics
+/// If not.
+pub fn packets(bytes: &[u8]) {
+    let _ = Sensor::recognise(bytes);
+    for sensor in Sensor::ALL {
+        let Ok(mut decoder) = Decoder::new(sensor, Calibration::Nominal) else {
+            continue;
+        };
+        let mut sweeps = Vec::new();
+        for received_ns in [0, 1_700_000_000_000_000_000, i64::MAX, i64::MIN] {
+            sweeps.extend(decoder.push(received_ns, bytes).ok().flatten());
+        }
+        sweeps.extend(decoder.finish());
+        for sweep in sweeps {
+            assert!(sweep.scan.check().is_ok(), "columns fit together");
+            assert!(sweep.scan.points.len() <= 4 * bytes.len(), "no more than was there");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Lengths that packets have, so that more than their length is looked at.
+    fn lengths() -> impl Strategy<Value = usize> {
+        prop::sample::select(vec![
+            0, 48, 512, 568, 820, 861, 893, 1072, 1080, 1087, 1127, 1198, 1206, 1262, 3392, 6464,
+        ])
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(300))]
+        #[test]
+        fn any_packets_are_bearable(
+            length in lengths(),
+            seed in any::<u8>(),
+            marks in prop::sample::select(vec![[0xFF, 0xEE], [0xEE, 0xFF], [0, 0]]),
+            spots in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..40),
+            version in any::<[u8; 2]>(),
+        ) {
+            let mut bytes = vec![seed; length];
+            if length > 12 {
+                for block in 0..length / 100 {
+                    bytes[block * 100..block * 100 + 2].copy_from_slice(&marks);
+                }
+                bytes[2..4].copy_from_slice(&version.map(|v| v % 8));
+                for (at, value) in spots {
+                    let at = at.index(length);
+                    bytes[at] = value;
+                }
+            }
+            packets(&bytes);
+        }
+
+        #[test]
+        fn any_calibration_is_bearable(text in "[ \\-0-9a-z_:{},\n.<>]{0,200}", begin in prop::sample::select(vec!["", "lasers:\n", "<px", "{\"", "1,2,3\n"])) {
+            calibration(format!("{begin}{text}").as_bytes());
+        }
+    }
+}

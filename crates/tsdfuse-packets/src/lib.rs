@@ -1,0 +1,18 @@
+#![doc = include_str!("../README.md")]
+
+mod bytes;
+mod calibration;
+mod cutter;
+mod decoder;
+mod error;
+#[doc(hidden)]
+pub mod fuzzing;
+pub mod hesai;
+mod returns;
+mod sensor;
+pub mod velodyne;
+
+pub use calibration::Calibration;
+pub use decoder::{Counts, Decoder, Place, Sweep};
+pub use error::{PacketError, Result};
+pub use sensor::{Maker, Sensor};
