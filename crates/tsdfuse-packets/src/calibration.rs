@@ -1,7 +1,7 @@
 //! Angles and offsets of one sensor, from the maker's files.
 
 use crate::error::{PacketError, Result};
-use crate::{hesai, velodyne};
+use crate::{hesai, ouster, velodyne};
 
 /// What is known of one sensor beyond its model.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -13,6 +13,8 @@ pub enum Calibration {
     Velodyne(velodyne::Calibration),
     /// Of Hesai's: its CSV of angles.
     Hesai(hesai::Angles),
+    /// Of Ouster's: its metadata, JSON.
+    Ouster(Box<ouster::Metadata>),
 }
 
 impl Calibration {
@@ -24,7 +26,9 @@ impl Calibration {
         let text = std::str::from_utf8(bytes)
             .map_err(|_| PacketError::calibration("is no text: a calibration is JSON, CSV, YAML or XML"))?;
         let start = text.trim_start_matches('\u{feff}').trim_start();
-        if start.starts_with('<') {
+        if start.starts_with('{') {
+            ouster::Metadata::parse(start).map(|metadata| Self::Ouster(Box::new(metadata)))
+        } else if start.starts_with('<') {
             velodyne::parse_xml(text).map(Self::Velodyne)
         } else if text.contains("lasers:") {
             velodyne::parse_yaml(text).map(Self::Velodyne)

@@ -9,10 +9,14 @@ use crate::cutter::{Cut, Cutter};
 use crate::error::Result;
 use crate::returns::Returns;
 use crate::sensor::{Maker, Sensor};
-use crate::{hesai, velodyne};
+use crate::{hesai, ouster, velodyne};
 
 /// More returns than any sensor measures in a turn: a sweep with as many is cut.
 const MAX_RETURNS: usize = 1 << 22;
+/// A packet of a frame that is older by up to so many came late; by more, the sensor was switched on again.
+const LATE_FRAMES: i32 = 16;
+/// The same of packets.
+const LATE_PACKETS: u32 = 1000;
 /// A gap that counts more lost packets than this is a pause, or a sensor that was switched on again.
 const MAX_LOST: u64 = 100_000;
 
@@ -50,6 +54,8 @@ pub(crate) struct Head {
     pub(crate) firings_per_column: f32,
     /// The number of the frame, where the sensor counts them: then sweeps are frames.
     pub(crate) frame: Option<u32>,
+    /// How many columns a frame has, of those that are sent.
+    pub(crate) frame_columns: f32,
     /// The packet's number, where the sensor counts them, and how many bits it has.
     pub(crate) sequence: Option<(u32, u32)>,
     /// Nanoseconds from one packet to the next.
@@ -107,7 +113,7 @@ pub struct Counts {
 ///
 /// There are two ways to use it. [`push`](Self::push) takes packets in order and gives sweeps. Where any sweep is to be read at any
 /// time, [`place`](Self::place) tells in which packets sweeps begin, without decoding them; later,
-/// [`decode`](Self::decode) takes the packets of one sweep and [`take`](Self::take) gives it.
+/// [`resume`](Self::resume) and [`decode`](Self::decode) take the packets of one sweep and [`take`](Self::take) gives it.
 pub struct Decoder {
     sensor: Sensor,
     packets: Box<dyn Packets>,
@@ -141,6 +147,7 @@ struct Began {
     received_ns: i64,
     packets: u64,
     firings: f32,
+    frame_columns: f32,
 }
 
 impl Decoder {
@@ -152,7 +159,7 @@ impl Decoder {
         let packets: Box<dyn Packets> = match sensor.maker() {
             Maker::Velodyne => Box::new(velodyne::Velodyne::new(sensor, calibration)?),
             Maker::Hesai => Box::new(hesai::Hesai::new(sensor, calibration)?),
-            Maker::Ouster => return Err(crate::PacketError::calibration("Ouster's packets need their metadata")),
+            Maker::Ouster => Box::new(ouster::Ouster::new(calibration)?),
         };
         Ok(Self {
             sensor,
@@ -224,14 +231,7 @@ impl Decoder {
     /// # Errors
     /// As [`push`](Self::push).
     pub fn place(&mut self, received_ns: i64, payload: &[u8]) -> Result<Option<Place>> {
-        // The sensor's clock goes on as the receiver's does.
-        let near_ns = match self.last {
-            Some(last) => last
-                .time_ns
-                .saturating_add(received_ns.saturating_sub(last.received_ns)),
-            None => received_ns,
-        };
-        let Some(head) = self.packets.head(near_ns, payload)? else {
+        let Some(head) = self.packets.head(self.near_ns(received_ns), payload)? else {
             return Ok(None);
         };
         let columns = head.columns.min(Head::COLUMNS);
@@ -242,9 +242,13 @@ impl Decoder {
         // Whether the sensor looked away before this packet, and within.
         let (mut before, mut within) = (false, false);
         if let Some(frame) = head.frame {
-            if self.frame.replace(frame).is_some_and(|before| before != frame) {
-                (begins, was_whole) = (Some((0, time_ns)), true);
+            let step = self.frame.map_or(0, |before| frame.wrapping_sub(before) as i32);
+            if (-LATE_FRAMES..0).contains(&step) {
+                self.count_late();
+                return Ok(None);
             }
+            self.frame = Some(frame);
+            begins = (step != 0).then_some((0, time_ns));
         } else {
             let times = head.azimuths.iter().zip(&head.times_ns).take(columns).enumerate();
             for (column, (&azimuth, &time_ns)) in times {
@@ -290,16 +294,17 @@ impl Decoder {
         let missing = match (last.number, head.sequence) {
             (Some(before), Some((number, bits))) => {
                 let mask = if bits >= 32 { u32::MAX } else { (1 << bits) - 1 };
-                let step = number.wrapping_sub(before) & mask;
-                if step > mask / 2 {
-                    self.counts.late += 1;
+                let back = before.wrapping_sub(number) & mask;
+                if (1..LATE_PACKETS).contains(&back) {
+                    self.last = Some(last);
+                    self.count_late();
                     return;
                 }
-                u64::from(step).saturating_sub(1)
+                u64::from(number.wrapping_sub(before) & mask).saturating_sub(1)
             }
             _ if looked_away => 0,
             _ if time_ns < last.time_ns => {
-                self.counts.late += 1;
+                self.count_late();
                 return;
             }
             _ => {
@@ -312,16 +317,57 @@ impl Decoder {
         }
     }
 
-    /// Decodes some columns of a packet into the sweep now; `time_ns` is the packet's time, as [`place`](Self::place) told.
+    /// A packet came that was thought to be lost.
+    fn count_late(&mut self) {
+        self.counts.late += 1;
+        self.counts.lost = self.counts.lost.saturating_sub(1);
+    }
+
+    /// Makes ready to decode packets from a known one on: of this time on the sensor's clock, received then.
+    pub fn resume(&mut self, time_ns: i64, received_ns: i64) {
+        self.last = Some(Last {
+            time_ns,
+            next_ns: time_ns,
+            number: None,
+            received_ns,
+        });
+        (self.frame, self.began) = (None, None);
+    }
+
+    /// Decodes some columns of a packet into the sweep now, without looking where sweeps begin. A packet of another frame than
+    /// the first one is left out.
     ///
     /// # Errors
     /// As [`push`](Self::push).
-    pub fn decode(&mut self, time_ns: i64, received_ns: i64, payload: &[u8], columns: Range<usize>) -> Result<()> {
-        if let Some(head) = self.packets.head(time_ns, payload)? {
-            self.columns_per_turn = head.columns_per_turn.or(self.columns_per_turn);
-            self.add(received_ns, payload, &head, columns);
+    pub fn decode(&mut self, received_ns: i64, payload: &[u8], columns: Range<usize>) -> Result<()> {
+        let Some(head) = self.packets.head(self.near_ns(received_ns), payload)? else {
+            return Ok(());
+        };
+        self.columns_per_turn = head.columns_per_turn.or(self.columns_per_turn);
+        if let Some(frame) = head.frame
+            && *self.frame.get_or_insert(frame) != frame
+        {
+            return Ok(());
         }
+        let time_ns = head.times_ns[0];
+        self.last = Some(Last {
+            time_ns,
+            next_ns: time_ns,
+            number: None,
+            received_ns,
+        });
+        self.add(received_ns, payload, &head, columns);
         Ok(())
+    }
+
+    /// About when a packet was sent, on the sensor's clock, which goes on as the receiver's does.
+    fn near_ns(&self, received_ns: i64) -> i64 {
+        match self.last {
+            Some(last) => last
+                .time_ns
+                .saturating_add(received_ns.saturating_sub(last.received_ns)),
+            None => received_ns,
+        }
     }
 
     /// The sweep of what was decoded.
@@ -339,6 +385,7 @@ impl Decoder {
             received_ns,
             packets: 0,
             firings: 0.0,
+            frame_columns: head.frame_columns,
         });
         began.packets += 1;
         began.firings += head.firings_per_column * columns.len() as f32;
@@ -351,6 +398,7 @@ impl Decoder {
             received_ns,
             packets,
             firings,
+            frame_columns,
         } = self.began.take()?;
         if self.returns.is_empty() {
             return None;
@@ -359,7 +407,12 @@ impl Decoder {
         Some(Sweep {
             scan: self.returns.take(time_ns),
             received_ns,
-            is_whole,
+            // A frame is whole if all of its columns came.
+            is_whole: if frame_columns > 0.0 {
+                firings >= frame_columns
+            } else {
+                is_whole
+            },
             packets,
             turn,
         })

@@ -13,6 +13,30 @@ pub fn calibration(bytes: &[u8]) {
     }
 }
 
+/// A decoder of each sensor; of Ouster's, one for each layout of packets that are as long as the bytes may be.
+fn decoders() -> impl Iterator<Item = Decoder> {
+    let angles = vec![[0.0, 0.0]; 128];
+    let hesai = Calibration::Hesai(crate::hesai::Angles { deg: angles });
+    let nominal = Sensor::ALL.map(|sensor| (sensor, Calibration::Nominal));
+    let ouster = [
+        "LEGACY",
+        "RNG19_RFL8_SIG16_NIR16_DUAL",
+        "RNG15_RFL8_NIR8",
+        "FUSA_RNG15_RFL8_NIR8_DUAL",
+    ]
+    .map(|profile| {
+        let zeros = "0,".repeat(15) + "0";
+        let json = format!(
+            "{{\"beam_altitude_angles\":[{zeros}],\"beam_azimuth_angles\":[{zeros}],\"lidar_mode\":\"1024x10\",\
+             \"udp_profile_lidar\":\"{profile}\"}}"
+        );
+        (Sensor::Ouster, Calibration::parse(json.as_bytes()).unwrap_or_default())
+    });
+    let more = [Sensor::Qt128, Sensor::Pandar128].map(|sensor| (sensor, hesai.clone()));
+    let all = nominal.into_iter().chain(ouster).chain(more);
+    all.filter_map(|(sensor, calibration)| Decoder::new(sensor, calibration).ok())
+}
+
 /// A packet of each sensor, as it is and as long as that sensor's; columns agree in length, and there is no more in a sweep than
 /// was in its packets.
 ///
@@ -20,10 +44,7 @@ pub fn calibration(bytes: &[u8]) {
 /// If not.
 pub fn packets(bytes: &[u8]) {
     let _ = Sensor::recognise(bytes);
-    for sensor in Sensor::ALL {
-        let Ok(mut decoder) = Decoder::new(sensor, Calibration::Nominal) else {
-            continue;
-        };
+    for mut decoder in decoders() {
         let mut sweeps = Vec::new();
         for received_ns in [0, 1_700_000_000_000_000_000, i64::MAX, i64::MIN] {
             sweeps.extend(decoder.push(received_ns, bytes).ok().flatten());

@@ -8,6 +8,7 @@ mod error;
 #[doc(hidden)]
 pub mod fuzzing;
 pub mod hesai;
+pub mod ouster;
 mod returns;
 mod sensor;
 pub mod velodyne;

@@ -1,6 +1,6 @@
 //! Which sensor sends a packet.
 
-use crate::{hesai, velodyne};
+use crate::{hesai, ouster, velodyne};
 
 /// A maker of LiDARs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -131,10 +131,12 @@ impl Sensor {
         }
     }
 
-    /// The sensor that sends packets like this one, as far as length, marks and the bytes for it tell. Ouster's cannot all be
-    /// told from their bytes: their metadata say what they look like.
+    /// The sensor that sends packets like this one, as far as length, marks and the bytes for it tell.
     pub fn recognise(payload: &[u8]) -> Option<Self> {
-        velodyne::recognise(payload).or_else(|| hesai::recognise(payload))
+        let hesai = || hesai::recognise(payload);
+        velodyne::recognise(payload)
+            .or_else(hesai)
+            .or_else(|| ouster::recognise(payload))
     }
 }
 

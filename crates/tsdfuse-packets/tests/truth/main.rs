@@ -1,6 +1,9 @@
 //! Decoded points against those of the drivers of these sensors (nebula's), on recordings of real ones.
 
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // the setting for tests does not reach their helpers
+
 mod bag;
+mod ouster;
 
 use std::path::{Path, PathBuf};
 
