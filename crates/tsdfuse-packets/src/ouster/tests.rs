@@ -68,9 +68,7 @@ fn frames_become_sweeps_and_late_or_lost_packets_are_counted() {
         .collect();
     assert_eq!(found, [(4, true, 1024), (2, false, 512), (4, true, 1024)]);
     let counts = decoder.counts();
-    assert_eq!((counts.packets, counts.late), (10, 2));
-    // One before the late packet, that after it, frame 0's second and, as it seemed, its last.
-    assert_eq!(counts.lost, 4);
+    assert_eq!((counts.packets, counts.late, counts.lost), (11, 2, 1));
 }
 
 #[test]
@@ -112,11 +110,7 @@ fn what_is_wrong_is_told() {
     assert!(told("{").starts_with("the metadata are no JSON"));
     assert_eq!(told("{}"), "the metadata have no beam_altitude_angles");
     let good = metadata(FINE, "");
-    assert!(
-        told(&good.replace("\"columns_per_frame\":64", "\"columns_per_frame\":1e9")).contains("lidar_mode")
-            || told(&good.replace("\"columns_per_frame\":64", "\"columns_per_frame\":99999999"))
-                .contains("columns in a frame")
-    );
+    assert!(told(&good.replace("_frame\":64", "_frame\":99999999")).contains("columns in a frame"));
     assert!(
         told(&good.replace("\"columns_per_packet\":16", "\"columns_per_packet\":0")).contains("columns in a frame")
     );
