@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 use tsdfuse::glam::Vec3;
 use tsdfuse::scan::PoseAt;
-use tsdfuse::trajectory::{ns_after, secs_between};
+use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, Scan, Trajectory};
 
 use crate::cloud::{self, Cloud};
@@ -29,7 +29,7 @@ use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::poses::{self, Poses};
 use crate::source::{ImuSample, OpenOptions, ScanRef, Sensor, Source};
-use crate::{bin, pcd, ply, present, times};
+use crate::{bin, pcd, placed, ply, present, times};
 
 mod beside;
 mod imu;
@@ -38,8 +38,7 @@ pub(crate) use beside::{PoseFile, parse_motions, parse_sensor, poses};
 use beside::{motions, of_model, sensor};
 pub(crate) use imu::parse as parse_imu;
 
-/// The longest time between two scans over which the sensor is taken to move steadily, seconds.
-pub const MAX_STEP_SECS: f64 = 1.0;
+pub use crate::placed::MAX_STEP_SECS;
 
 /// Scans of one file each, of one sensor.
 pub(crate) struct ScanFolder {
@@ -206,36 +205,15 @@ impl ScanFolder {
         if !given.is_empty() {
             return given.clone();
         }
-        let (scan, [sensor]) = (&self.scans[index], &self.sensors);
-        let (Some(now), Some(_)) = (scan.time_ns, scan.pose) else {
-            return Vec::new();
-        };
-        if let Some(trajectory) = &self.trajectory {
-            let (first, last) = span(times);
-            let is_covered = || poses::covers(trajectory, ns_after(now, first), ns_after(now, last));
-            if last - first > 0.0
-                && last.max(-first) <= MAX_STEP_SECS
-                && is_covered()
-                && let Some((_, motion)) = trajectory.motion_within(now, first, last, &sensor.body_from_sensor)
-            {
-                return motion;
-            }
-        }
-        let neighbours = [index.checked_add(1), index.checked_sub(1)];
-        let mut motions = neighbours.into_iter().flatten().filter_map(|i| {
-            let scan = self.scans.get(i)?;
-            let secs = secs_between(now, scan.time_ns?);
-            Some(PoseAt { secs, pose: scan.pose? })
-        });
-        let near = motions.find(|m| m.secs.abs() <= MAX_STEP_SECS);
-        near.into_iter().collect()
+        let [sensor] = &self.sensors;
+        placed::motion(
+            &self.scans,
+            index,
+            times,
+            self.trajectory.as_ref(),
+            &sensor.body_from_sensor,
+        )
     }
-}
-
-/// The first and the last of some times; 0 is always within.
-fn span(times: &[f32]) -> (f64, f64) {
-    let finite = times.iter().copied().filter(|t| t.is_finite()).map(f64::from);
-    finite.fold((0.0, 0.0), |(first, last): (f64, f64), t| (first.min(t), last.max(t)))
 }
 
 /// Checks that times ascend.

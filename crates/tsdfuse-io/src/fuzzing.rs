@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::capture::{Datagrams, Records};
 use crate::pandaset::{cameras, frames};
 use crate::pickle::DataFrame;
 use crate::rgbd::image::{self, ImageSize};
@@ -159,6 +160,31 @@ pub fn imu(bytes: &[u8]) {
     let _ = folder::parse_imu(Path::new(PATH), &[b"t,gx,gy,gz,ax,ay,az\n", bytes].concat());
 }
 
+/// A capture's records and datagrams, as they are and after the header of each kind of file. No datagram is longer than IP's.
+///
+/// # Panics
+/// If one is.
+pub fn capture(bytes: &[u8]) {
+    let pcap: &[u8] = &[
+        0xD4, 0xC3, 0xB2, 0xA1, 2, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 4, 0, 1, 0, 0, 0,
+    ];
+    let section = [0x0A, 0x0D, 0x0D, 0x0A, 28, 0, 0, 0, 0x4D, 0x3C, 0x2B, 0x1A, 1, 0, 0, 0];
+    let section = [&section[..], &[0xFF; 8], &[28, 0, 0, 0]].concat();
+    for head in [&[], pcap, &section] {
+        let file = [head, bytes].concat();
+        let Ok(records) = Records::new(Path::new(PATH), file.as_slice()) else {
+            continue;
+        };
+        let mut datagrams = Datagrams::new(records);
+        while let Ok(Some(datagram)) = datagrams.next() {
+            assert!(
+                datagram.payload.len() <= 65_535 && datagram.offset <= file.len() as u64,
+                "a datagram"
+            );
+        }
+    }
+}
+
 /// A sensor's model.
 pub fn sensor(bytes: &[u8]) {
     let _ = folder::parse_sensor(Path::new(PATH), bytes);
@@ -203,6 +229,26 @@ mod tests {
     use super::*;
 
     proptest! {
+        #[test]
+        fn any_capture_is_bearable(
+            bytes in prop::collection::vec(any::<u8>(), 0..200),
+            lengths in prop::collection::vec(0u8..60, 0..6),
+            kind in prop::sample::select(vec![1u8, 3, 6]),
+        ) {
+            capture(&bytes);
+            // Records and blocks of lengths that fit, with IP in them.
+            let (mut records, mut blocks) = (Vec::new(), Vec::new());
+            for length in lengths {
+                let mut frame: Vec<u8> = [&[0; 12][..], &[8, 0, 0x45, 0, 0, 40, 0, 1, 0x20, 0, 9, 17], &bytes].concat();
+                frame.truncate(usize::from(length) / 4 * 4 + 12);
+                records.extend([&[0; 8][..], &[frame.len() as u8, 0, 0, 0], &[0; 4], &frame].concat());
+                let total = frame.len() as u8 + 12;
+                blocks.extend([&[kind, 0, 0, 0, total, 0, 0, 0][..], &frame, &[total, 0, 0, 0]].concat());
+            }
+            capture(&records);
+            capture(&blocks);
+        }
+
         #[test]
         fn any_packed_blocks_and_columns_are_bearable(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
             packed(&bytes);

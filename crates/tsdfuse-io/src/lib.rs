@@ -3,6 +3,8 @@
 pub mod atomic;
 mod bin;
 mod calib;
+mod calibrations;
+mod capture;
 mod cloud;
 pub mod clouds;
 pub mod columns;
@@ -23,6 +25,7 @@ pub mod obj;
 pub mod pandaset;
 mod pcd;
 mod pickle;
+mod placed;
 pub mod plain;
 pub mod ply;
 pub mod png;

@@ -38,6 +38,10 @@ const FORMATS: &[Format] = &[
         open: |path, options| crate::plain::open(path, options).map(Log::new),
     },
     Format {
+        recognises: crate::capture::recognises,
+        open: |path, options| crate::capture::open(path, options).map(Log::new),
+    },
+    Format {
         recognises: crate::rgbd::recognises,
         open: |path, options| crate::rgbd::open(path, options).map(Log::new),
     },
@@ -72,7 +76,10 @@ pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
     let is_folder = std::fs::metadata(path).map_err(Error::io(path))?.is_dir();
     match FORMATS.iter().find(|format| (format.recognises)(path)) {
         Some(format) => (format.open)(path, options),
-        None if !is_folder => Err(Error::dataset(path, "is a file; a data set is a folder")),
+        None if !is_folder => Err(Error::dataset(
+            path,
+            "is no capture of a LiDAR's packets (PCAP, pcapng); other data sets are folders",
+        )),
         None => Err(Error::dataset(
             path,
             "holds no scans that are read here: no lidar/*.pkl.gz (PandaSet), velodyne/*.bin (KITTI, plain), \

@@ -21,7 +21,7 @@ const LATE_PACKETS: u32 = 1000;
 const MAX_LOST: u64 = 100_000;
 
 /// A maker's packets.
-pub(crate) trait Packets: Send {
+pub(crate) trait Packets: Send + Sync {
     /// Reads what a packet says of itself; `Ok(None)` for one that holds no returns. `near_ns` is about when it was sent, for
     /// clocks that do not tell all of the time.
     fn head(&mut self, near_ns: i64, payload: &[u8]) -> Result<Option<Head>>;
@@ -86,7 +86,7 @@ pub struct Sweep {
 }
 
 /// Where a packet lies among the sweeps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
     /// Time of its first column, nanoseconds of the sensor's clock.
     pub time_ns: i64,
@@ -96,6 +96,8 @@ pub struct Place {
     pub begins: Option<(usize, i64)>,
     /// Whether the sweep that ends with this is whole.
     pub was_whole: bool,
+    /// How much of a turn one of its columns is.
+    pub turn_per_column: f32,
 }
 
 /// What was decoded so far.
@@ -269,12 +271,14 @@ impl Decoder {
         if self.returns.len() > MAX_RETURNS && begins.is_none() {
             begins = Some((0, time_ns));
         }
+        let turn_per_column = head.firings_per_column / self.columns_per_turn.unwrap_or(1800).max(1) as f32;
         self.head = head;
         Ok(Some(Place {
             time_ns,
             columns,
             begins,
             was_whole,
+            turn_per_column,
         }))
     }
 

@@ -167,7 +167,13 @@ impl Sample {
 
 fn path_length_m(scans: &[ScanRef]) -> f64 {
     let places = scans.iter().filter_map(|scan| Some(scan.pose?.translation));
-    places.clone().zip(places.skip(1)).map(|(a, b)| a.distance(b)).sum()
+    // A sum of nothing is −0.
+    places
+        .clone()
+        .zip(places.skip(1))
+        .map(|(a, b)| a.distance(b))
+        .sum::<f64>()
+        + 0.0
 }
 
 fn duration_secs(scans: &[ScanRef]) -> Option<f64> {
