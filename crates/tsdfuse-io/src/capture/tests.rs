@@ -187,7 +187,7 @@ fn fragments_are_put_together() {
             let mut bytes = whole[..34].to_vec();
             bytes[16..18].copy_from_slice(&(20 + part.len() as u16).to_be_bytes());
             bytes[18..20].copy_from_slice(&(i as u16).to_be_bytes());
-            bytes[20..22].copy_from_slice(&(offset / 8 | u16::from(more) << 13).to_be_bytes());
+            bytes[20..22].copy_from_slice(&((offset / 8) | (u16::from(more) << 13)).to_be_bytes());
             bytes.extend(part);
             (*ns, bytes)
         };
