@@ -8,16 +8,16 @@
 //! (Adaptive voxels with the planes' uncertainty: Yuan et al., "Efficient and Probabilistic Adaptive Voxel Mapping for
 //! Accurate Online LiDAR Odometry", RA-L 2022.)
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec3, IVec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 use tsdfuse::eigen::eigen;
 
 /// How many sizes of cells there are.
-pub(crate) const LEVELS: usize = 5;
+const LEVELS: usize = 5;
 
-/// A cell takes no more points than this: what was seen first, with the least drift, stays.
-const MOST_POINTS: f64 = 4000.0;
+/// The level of the largest ones.
+const TOP: usize = LEVELS - 1;
 
 /// Points that a plane is made of at least.
 const LEAST_POINTS: f64 = 8.0;
@@ -31,9 +31,18 @@ const THICKEST: f64 = 0.1;
 /// The plane's second widest direction is at least this many times as wide as the plane is thick.
 const LEAST_WIDTH: f64 = 3.0;
 
+/// Cells are split by the hash of the largest one that they lie in, and each part is filled by one thread.
+const SHARDS: usize = 16;
+
+/// No child.
+const NONE: u32 = u32::MAX;
+
+/// Points that one thread places at a time.
+const GRAIN: usize = 1024;
+
 /// Number, sum and products of points, relative to the centre of a cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Sums {
+struct Sums {
     n: f64,
     sum: DVec3,
     /// xx, yy, zz
@@ -43,19 +52,12 @@ pub(crate) struct Sums {
 }
 
 impl Sums {
-    fn add(&mut self, p: DVec3) {
-        self.n += 1.0;
-        self.sum += p;
-        self.squares += p * p;
-        self.mixed += mixed(p, p);
-    }
-
-    /// Adds the points of sums whose origin lies at `shift` from this one's.
-    fn add_all(&mut self, other: &Self, shift: DVec3) {
-        self.n += other.n;
-        self.squares += other.squares + shift * (2.0 * other.sum + shift * other.n);
-        self.mixed += other.mixed + mixed(shift, other.sum) + mixed(other.sum, shift) + mixed(shift, shift) * other.n;
-        self.sum += other.sum + shift * other.n;
+    /// Adds a point, or takes it away: `sign` is 1 or -1.
+    fn add(&mut self, p: DVec3, sign: f64) {
+        self.n += sign;
+        self.sum += sign * p;
+        self.squares += sign * p * p;
+        self.mixed += sign * DVec3::new(p.y * p.z, p.z * p.x, p.x * p.y);
     }
 
     /// The plane of the points, `centre` being the cell's; `noise` is the standard deviation of a return.
@@ -86,26 +88,38 @@ impl Sums {
     }
 }
 
-/// (yz, zx, xy) of the products of two vectors, not symmetrised.
-fn mixed(a: DVec3, b: DVec3) -> DVec3 {
-    DVec3::new(a.y * b.z, a.z * b.x, a.x * b.y)
-}
-
 /// The plane of a cell's points, in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Plane {
-    pub(crate) mean: DVec3,
+    mean: DVec3,
     /// Of length 1; which of the two sides it points to means nothing.
     pub(crate) normal: DVec3,
     /// The two directions within the plane, divided by the points' standard deviation along each.
     along: [DVec3; 2],
     /// Of the points across the plane, m².
-    pub(crate) variance: f64,
+    variance: f64,
     /// One over the number of points.
     share: f64,
 }
 
 impl Plane {
+    /// Whether the normal has a share along a direction that its own error does not explain: three standard deviations.
+    pub(crate) fn faces(&self, direction: DVec3, least_share: f64) -> bool {
+        let tilt = self.along[0].dot(direction).powi(2) + self.along[1].dot(direction).powi(2);
+        let error = (self.variance * self.share * tilt).sqrt();
+        self.normal.dot(direction).abs() > least_share + 3.0 * error
+    }
+
+    /// How far from a point the plane lies along a direction, metres.
+    pub(crate) fn distance_along(&self, p: DVec3, direction: DVec3) -> f64 {
+        self.normal.dot(self.mean - p) / self.normal.dot(direction)
+    }
+
+    /// Whether a point of the plane lies among the points that it was made of.
+    pub(crate) fn reaches(&self, p: DVec3) -> bool {
+        self.along.iter().all(|along| along.dot(p - self.mean).abs() < 2.5)
+    }
+
     /// How far a point lies off the plane, metres, and the variance of that: of the point's own noise, of the plane's place
     /// and of its slope, which counts the more the farther the point lies from the middle of the others.
     pub(crate) fn residual(&self, p: DVec3) -> (f64, f64) {
@@ -115,184 +129,379 @@ impl Plane {
     }
 }
 
-/// The number of a cube along each axis.
-pub(crate) type Key = [i32; 3];
-
-/// What a cube is found by. Cubes half a million metres apart share it, which no sensor sees at once.
-fn packed([x, y, z]: Key) -> u64 {
-    let bits = |v: i32| u64::from(v as u32 & 0x1f_ffff);
-    bits(x) << 42 | bits(y) << 21 | bits(z)
-}
-
+/// A cube of one of the sizes.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
-    key: Key,
+    /// Its number along each axis, in cubes of its size.
+    key: IVec3,
+    /// Whether its points changed since its plane was fitted.
+    is_touched: bool,
+    level: u8,
     sums: Sums,
     /// Points when the plane was fitted last.
     fitted: f64,
-    plane: Option<Plane>,
     /// How far the sensor had moved when points were added last, metres.
     seen_at: f64,
 }
 
-/// The cells of one size.
-#[derive(Clone, Debug)]
-struct Level {
-    size: f64,
-    index: FxHashMap<u64, u32>,
+/// Some of the largest cells, and all smaller ones in them.
+#[derive(Clone, Debug, Default)]
+struct Shard {
+    /// The largest cells by their key.
+    roots: FxHashMap<IVec3, u32>,
     cells: Vec<Cell>,
-    /// Cells that changed since planes were fitted.
+    /// Of each cell its eight parts.
+    children: Vec<[u32; 8]>,
+    /// Of each cell.
+    planes: Vec<Option<Plane>>,
+    /// Cells whose points changed since planes were fitted.
     touched: Vec<u32>,
 }
 
-impl Level {
-    fn key(&self, p: DVec3) -> Key {
-        (p / self.size).floor().to_array().map(|v| v as i32)
+/// Which of the eight parts of the cell around it a cell is.
+fn octant(key: IVec3) -> usize {
+    let bits = key & 1;
+    (bits.x | bits.y << 1 | bits.z << 2) as usize
+}
+
+/// Sizes and limits.
+#[derive(Clone, Copy, Debug)]
+struct Grid {
+    /// Edge of the smallest cells, metres.
+    size: f64,
+    /// Standard deviation of a return, metres.
+    noise: f64,
+    /// A cell takes no more points than this: what was seen first, with the least drift, stays.
+    most_points: f64,
+}
+
+impl Grid {
+    fn size(&self, level: u8) -> f64 {
+        self.size * f64::from(1 << level)
     }
 
-    fn centre(&self, key: Key) -> DVec3 {
-        (DVec3::from_array(key.map(f64::from)) + 0.5) * self.size
+    fn centre(&self, key: IVec3, level: u8) -> DVec3 {
+        (key.as_dvec3() + 0.5) * self.size(level)
     }
 
-    fn get(&self, key: Key) -> Option<&Cell> {
-        let &i = self.index.get(&packed(key))?;
-        self.cells.get(i as usize)
-    }
-
-    fn plane_at(&self, p: DVec3) -> Option<&Plane> {
-        self.get(self.key(p))?.plane.as_ref()
-    }
-
-    /// Adds what was seen in smaller cells.
-    fn add(&mut self, seen: &[(Key, Sums)], seen_size: f64, driven: f64) {
-        let shift = (self.size / seen_size).round() as i32;
-        for (small, sums) in seen {
-            let key = small.map(|v| v.div_euclid(shift));
-            let centre = self.centre(key);
-            let from = (DVec3::from_array(small.map(f64::from)) + 0.5) * seen_size;
-            let i = *self.index.entry(packed(key)).or_insert_with(|| {
-                self.cells.push(Cell {
-                    key,
-                    sums: Sums::default(),
-                    fitted: 0.0,
-                    plane: None,
-                    seen_at: driven,
-                });
-                self.cells.len() as u32 - 1
-            });
-            let cell = &mut self.cells[i as usize];
-            cell.seen_at = driven;
-            if cell.key != key || cell.sums.n >= MOST_POINTS {
-                continue;
-            }
-            cell.sums.add_all(sums, from - centre);
-            // Later points change little.
-            if cell.fitted >= 0.0 && cell.sums.n >= LEAST_POINTS && cell.sums.n > 1.1 * cell.fitted {
-                cell.fitted = -1.0;
-                self.touched.push(i);
-            }
-        }
-    }
-
-    fn fit(&mut self, noise: f64) {
-        let touched = std::mem::take(&mut self.touched);
-        let fit = |i: &u32| {
-            let cell = &self.cells[*i as usize];
-            cell.sums.plane(self.centre(cell.key), self.size, noise)
-        };
-        let planes: Vec<Option<Plane>> = touched.par_iter().with_min_len(256).map(fit).collect();
-        for (i, plane) in touched.into_iter().zip(planes) {
-            let cell = &mut self.cells[i as usize];
-            cell.fitted = cell.sums.n;
-            cell.plane = plane;
-        }
-    }
-
-    fn forget(&mut self, centre: DVec3, radius: f64, seen_since: f64) {
-        let (size, limit) = (self.size, (radius + self.size).powi(2));
-        let is_kept = |cell: &Cell| {
-            let at = (DVec3::from_array(cell.key.map(f64::from)) + 0.5) * size;
-            cell.seen_at >= seen_since && at.distance_squared(centre) < limit
-        };
-        self.cells.retain(is_kept);
-        self.index.clear();
-        let entries = self.cells.iter().zip(0..).map(|(cell, i)| (packed(cell.key), i));
-        self.index.extend(entries);
+    /// The smallest cell around a point.
+    fn key(&self, p: DVec3) -> IVec3 {
+        (p / self.size).floor().as_ivec3()
     }
 }
 
-/// The points of one scan, in the smallest cells, in order of their first points.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Seen(pub(crate) Vec<(Key, Sums)>);
+fn shard_of(root: IVec3) -> usize {
+    let [x, y, z] = root.to_array().map(|v| v as u32);
+    let hash = x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ z.wrapping_mul(0xc2b2_ae3d);
+    (hash >> 16) as usize % SHARDS
+}
+
+impl Shard {
+    fn create(&mut self, key: IVec3, level: u8) -> u32 {
+        self.cells.push(Cell {
+            key,
+            is_touched: false,
+            level,
+            sums: Sums::default(),
+            fitted: 0.0,
+            seen_at: 0.0,
+        });
+        self.children.push([NONE; 8]);
+        self.planes.push(None);
+        self.cells.len() as u32 - 1
+    }
+
+    /// Adds a point to the cells that it lies in, or takes it away.
+    fn add(&mut self, p: DVec3, grid: &Grid, sign: f64, driven: f64) {
+        let smallest = grid.key(p);
+        let root = smallest >> TOP as i32;
+        let mut at = match self.roots.get(&root) {
+            Some(&at) => at,
+            None => {
+                let at = self.create(root, TOP as u8);
+                self.roots.insert(root, at);
+                at
+            }
+        };
+        for level in (0..LEVELS as u8).rev() {
+            let cell = &mut self.cells[at as usize];
+            cell.seen_at = driven;
+            if sign < 0.0 || cell.sums.n < grid.most_points {
+                cell.sums.add(p - grid.centre(cell.key, level), sign);
+                let n = cell.sums.n;
+                // A few more points change little.
+                let is_new = sign < 0.0 || (n >= LEAST_POINTS && n > 1.1 * cell.fitted);
+                if is_new && !cell.is_touched {
+                    cell.is_touched = true;
+                    self.touched.push(at);
+                }
+            }
+            if level > 0 {
+                let key = smallest >> i32::from(level - 1);
+                let child = self.children[at as usize][octant(key)];
+                at = if child == NONE {
+                    let child = self.create(key, level - 1);
+                    self.children[at as usize][octant(key)] = child;
+                    child
+                } else {
+                    child
+                };
+            }
+        }
+    }
+
+    fn fit(&mut self, grid: &Grid) {
+        for at in self.touched.drain(..) {
+            let cell = &mut self.cells[at as usize];
+            let (centre, size) = (grid.centre(cell.key, cell.level), grid.size(cell.level));
+            (cell.is_touched, cell.fitted) = (false, cell.sums.n);
+            self.planes[at as usize] = cell.sums.plane(centre, size, grid.noise);
+        }
+    }
+
+    /// Only the cells that are kept, in the order in which they are found from the old ones.
+    fn forget(&mut self, is_kept: impl Fn(&Cell) -> bool) {
+        let old = std::mem::take(self);
+        let roots = old
+            .roots
+            .values()
+            .copied()
+            .filter(|&at| is_kept(&old.cells[at as usize]));
+        let mut roots: Vec<u32> = roots.collect();
+        roots.sort_unstable();
+        let mut kept: Vec<(u32, Option<(u32, usize)>)> = roots.into_iter().map(|at| (at, None)).collect();
+        let mut next = 0;
+        while let Some(&(from, parent)) = kept.get(next) {
+            next += 1;
+            let (cell, at) = (old.cells[from as usize], self.cells.len() as u32);
+            self.cells.push(cell);
+            self.children.push([NONE; 8]);
+            self.planes.push(old.planes[from as usize]);
+            match parent {
+                Some((parent, part)) => self.children[parent as usize][part] = at,
+                None => drop(self.roots.insert(cell.key, at)),
+            }
+            let parts = old.children[from as usize].iter().enumerate();
+            let parts = parts.filter(|&(_, &child)| child != NONE && is_kept(&old.cells[child as usize]));
+            kept.extend(parts.map(|(part, &child)| (child, Some((at, part)))));
+        }
+    }
+}
+
+/// Where a point found its plane. As long as it stays in its smallest cell, it need not look again.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Found {
+    key: IVec3,
+    /// Shard and cell.
+    at: Option<(u32, u32)>,
+    is_known: bool,
+}
 
 /// The world in cells of [`LEVELS`] sizes.
 #[derive(Clone, Debug)]
 pub(crate) struct Cells {
-    levels: Vec<Level>,
-    /// Standard deviation of a return, metres.
-    noise: f64,
+    grid: Grid,
+    shards: Vec<Shard>,
 }
 
 impl Cells {
-    /// No cells; the smallest ones will measure `size` metres.
-    pub(crate) fn new(size: f64, noise: f64) -> Self {
-        let level = |k: usize| Level {
-            size: size * f64::from(1 << k),
-            index: FxHashMap::default(),
-            cells: Vec::new(),
-            touched: Vec::new(),
-        };
+    /// No cells; the smallest ones will measure `size` metres, and take `most_points` points.
+    pub(crate) fn new(size: f64, noise: f64, most_points: f64) -> Self {
         Self {
-            levels: (0..LEVELS).map(level).collect(),
-            noise,
+            grid: Grid {
+                size,
+                noise,
+                most_points,
+            },
+            shards: vec![Shard::default(); SHARDS],
         }
-    }
-
-    /// Sorts points of the world into the smallest cells.
-    pub(crate) fn seen(&self, points: impl Iterator<Item = DVec3>) -> Seen {
-        let mut index: FxHashMap<u64, u32> = FxHashMap::default();
-        let mut seen: Vec<(Key, Sums)> = Vec::new();
-        let smallest = &self.levels[0];
-        for p in points {
-            let key = smallest.key(p);
-            let i = *index.entry(packed(key)).or_insert_with(|| {
-                seen.push((key, Sums::default()));
-                seen.len() as u32 - 1
-            });
-            seen[i as usize].1.add(p - smallest.centre(key));
-        }
-        Seen(seen)
     }
 
     /// Adds points that were seen when the sensor had moved by `driven` metres.
-    pub(crate) fn add(&mut self, seen: &Seen, driven: f64) {
-        let (size, noise) = (self.levels[0].size, self.noise);
-        self.levels.par_iter_mut().for_each(|level| {
-            level.add(&seen.0, size, driven);
-            level.fit(noise);
+    pub(crate) fn add(&mut self, points: &[DVec3], driven: f64) {
+        self.change(points, 1.0, driven);
+    }
+
+    /// Takes points away that were added.
+    pub(crate) fn remove(&mut self, points: &[DVec3], driven: f64) {
+        self.change(points, -1.0, driven);
+    }
+
+    fn change(&mut self, points: &[DVec3], sign: f64, driven: f64) {
+        let grid = self.grid;
+        let shards: Vec<u8> = points
+            .par_iter()
+            .with_min_len(GRAIN)
+            .map(|&p| shard_of(grid.key(p) >> TOP as i32) as u8)
+            .collect();
+        self.shards.par_iter_mut().enumerate().for_each(|(number, shard)| {
+            let own = points.iter().zip(&shards).filter(|(_, s)| usize::from(**s) == number);
+            own.for_each(|(&p, _)| shard.add(p, &grid, sign, driven));
+            shard.fit(&grid);
         });
     }
 
-    /// The plane that foretells a point best, among those of the cells that it lies in.
+    /// The plane that foretells a point best, among those of the cells that it lies in, with the point's distance from it,
+    /// metres, and the variance of that.
     pub(crate) fn plane_at(&self, p: DVec3) -> Option<(&Plane, f64, f64)> {
-        let planes = self.levels.iter().filter_map(|level| level.plane_at(p));
-        let told = planes.map(|plane| {
-            let (residual, variance) = plane.residual(p);
-            (plane, residual, variance)
+        self.plane_near(p, &mut Found::default())
+    }
+
+    /// The same for a point that moves little from time to time: the plane that was best when it came into its smallest cell.
+    pub(crate) fn plane_near(&self, p: DVec3, found: &mut Found) -> Option<(&Plane, f64, f64)> {
+        let key = self.grid.key(p);
+        if !found.is_known || found.key != key {
+            let at = self.best(p, key);
+            *found = Found {
+                key,
+                at,
+                is_known: true,
+            };
+        }
+        let (shard, at) = found.at?;
+        let plane = self.shards[shard as usize].planes[at as usize].as_ref()?;
+        let (residual, variance) = plane.residual(p);
+        Some((plane, residual, variance))
+    }
+
+    /// All planes of the cells that a point lies in, and of those up to `reach` away along a direction.
+    pub(crate) fn planes_along(&self, p: DVec3, direction: DVec3, reach: f64, mut each: impl FnMut(&Plane)) {
+        let steps = (reach / (0.5 * self.grid.size)).ceil() as i32;
+        let mut last = None;
+        for k in -steps..=steps {
+            let key = self.grid.key(p + direction * (f64::from(k) / f64::from(steps) * reach));
+            if last != Some(key) {
+                self.planes_of(key, |_, plane| each(plane));
+            }
+            last = Some(key);
+        }
+    }
+
+    /// The planes of a smallest cell and of those around it, the largest first.
+    fn planes_of(&self, smallest: IVec3, mut each: impl FnMut((u32, u32), &Plane)) {
+        let root = smallest >> TOP as i32;
+        let number = shard_of(root);
+        let shard = &self.shards[number];
+        let Some(&(mut at)) = shard.roots.get(&root) else {
+            return;
+        };
+        for level in (0..LEVELS as i32).rev() {
+            if let Some(plane) = &shard.planes[at as usize] {
+                each((number as u32, at), plane);
+            }
+            if level > 0 {
+                at = shard.children[at as usize][octant(smallest >> (level - 1))];
+                if at == NONE {
+                    break;
+                }
+            }
+        }
+    }
+
+    fn best(&self, p: DVec3, smallest: IVec3) -> Option<(u32, u32)> {
+        let (mut best, mut least) = (None, f64::INFINITY);
+        self.planes_of(smallest, |at, plane| {
+            let (_, variance) = plane.residual(p);
+            // Of equals the smaller one.
+            if variance <= least {
+                (best, least) = (Some(at), variance);
+            }
         });
-        told.min_by(|a, b| a.2.total_cmp(&b.2))
+        best
     }
 
     /// Forgets the cells that are farther from a point than `radius`, and those without points since the sensor had moved by
     /// `seen_since`.
     pub(crate) fn forget(&mut self, centre: DVec3, radius: f64, seen_since: f64) {
-        self.levels
-            .par_iter_mut()
-            .for_each(|level| level.forget(centre, radius, seen_since));
+        let grid = self.grid;
+        let is_kept = |cell: &Cell| {
+            let limit = radius + grid.size(cell.level);
+            cell.seen_at >= seen_since && grid.centre(cell.key, cell.level).distance_squared(centre) < limit * limit
+        };
+        self.shards.par_iter_mut().for_each(|shard| shard.forget(is_kept));
     }
 
     /// How many cells there are, of all sizes.
     pub(crate) fn len(&self) -> usize {
-        self.levels.iter().map(|level| level.cells.len()).sum()
+        self.shards.iter().map(|shard| shard.cells.len()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points of two walls and a floor, slightly rough.
+    fn points() -> Vec<DVec3> {
+        let rough = |i: usize| 0.01 * ((i * 7919) as f64).sin();
+        let at = |i: usize| {
+            (
+                ((i * 37) % 400) as f64 * 0.02 - 4.0,
+                ((i * 61) % 390) as f64 * 0.02 - 3.9,
+            )
+        };
+        let point = |i: usize| {
+            let (a, b) = at(i);
+            match i % 3 {
+                0 => DVec3::new(a, b, rough(i)),
+                1 => DVec3::new(3.3 + rough(i), a, b),
+                _ => DVec3::new(a, -2.2 + rough(i), b),
+            }
+        };
+        (0..30_000).map(point).collect()
+    }
+
+    /// The plane that foretells `p` best, of the cells around it, from all points.
+    fn slowly(points: &[DVec3], grid: &Grid, p: DVec3) -> Option<(f64, f64)> {
+        let planes = (0..LEVELS as u8).filter_map(|level| {
+            let key = grid.key(p) >> i32::from(level);
+            let centre = grid.centre(key, level);
+            let mut sums = Sums::default();
+            let own = points.iter().filter(|q| grid.key(**q) >> i32::from(level) == key);
+            own.for_each(|q| sums.add(*q - centre, 1.0));
+            Some(sums.plane(centre, grid.size(level), grid.noise)?.residual(p))
+        });
+        planes.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    #[test]
+    fn the_best_plane_is_that_of_all_points_of_the_cells_around() {
+        let (points, mut cells) = (points(), Cells::new(0.25, 0.02, f64::INFINITY));
+        // More than are kept are added and taken away again.
+        let others: Vec<DVec3> = points.iter().map(|p| *p + DVec3::new(0.1, 0.2, 0.3)).collect();
+        cells.add(&points, 0.0);
+        cells.add(&others, 0.0);
+        cells.remove(&others, 0.0);
+        let grid = cells.grid;
+        let mut planes = 0;
+        for p in points.iter().step_by(500).map(|p| *p + DVec3::new(0.03, -0.02, 0.05)) {
+            let (found, want) = (cells.plane_at(p), slowly(&points, &grid, p));
+            assert_eq!(found.is_some(), want.is_some(), "{p}");
+            if let (Some((_, residual, variance)), Some((want, of_that))) = (found, want) {
+                planes += 1;
+                assert!(
+                    (residual.abs() - want.abs()).abs() < 1e-9 && (variance - of_that).abs() < 1e-9,
+                    "{p}"
+                );
+            }
+        }
+        assert!(planes > 40, "{planes}");
+    }
+
+    #[test]
+    fn what_is_forgotten_is_gone_and_the_rest_is_as_before() {
+        let (points, mut cells) = (points(), Cells::new(0.25, 0.02, f64::INFINITY));
+        let far: Vec<DVec3> = points.iter().map(|p| *p + 100.0).collect();
+        cells.add(&points, 0.0);
+        let (alone, probes) = (cells.clone(), points.iter().step_by(50));
+        cells.add(&far, 10.0);
+        cells.forget(DVec3::ZERO, 50.0, 0.0);
+        assert_eq!(cells.len(), alone.len());
+        for p in probes {
+            assert_eq!(cells.plane_at(*p), alone.plane_at(*p));
+            assert!(cells.plane_at(*p + 100.0).is_none());
+        }
+        cells.forget(DVec3::ZERO, 50.0, 5.0);
+        assert_eq!(cells.len(), 0);
     }
 }

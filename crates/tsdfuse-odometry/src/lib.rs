@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod along;
 mod cells;
 mod motion;
 mod register;

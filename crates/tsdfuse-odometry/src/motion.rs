@@ -85,6 +85,26 @@ impl Motion {
         self.poses[if knots > 1 { k * steps / (knots - 1) } else { 0 }]
     }
 
+    /// The same motion, but along a direction where another one is.
+    pub(crate) fn as_along(&self, other: &Self, direction: DVec3) -> Self {
+        let pair = self.poses.iter().zip(other.poses.iter());
+        let moved = pair.map(|(own, other)| Pose {
+            translation: own.translation + direction * direction.dot(other.translation - own.translation),
+            ..*own
+        });
+        Self { poses: moved.collect() }
+    }
+
+    /// Shifted along a direction, by so much at the begin and at the end.
+    pub(crate) fn shifted(&self, direction: DVec3, [begin, end]: [f64; 2]) -> Self {
+        let steps = self.poses.len().saturating_sub(1).max(1) as f64;
+        let moved = self.poses.iter().enumerate().map(|(j, pose)| Pose {
+            translation: pose.translation + direction * (begin + (end - begin) * j as f64 / steps),
+            ..*pose
+        });
+        Self { poses: moved.collect() }
+    }
+
     /// Corrected by twists at evenly spaced knots, in proportion between them.
     pub(crate) fn corrected(&self, twists: &[Twist], centre: DVec3) -> Self {
         let steps = self.poses.len() - 1;

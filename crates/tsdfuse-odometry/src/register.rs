@@ -10,23 +10,24 @@ use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 use rayon::prelude::*;
 use tsdfuse::Pose;
 
-use crate::cells::Cells;
+use crate::along::{Drift, Sought, sought_along, weak_direction};
+use crate::cells::{Cells, Found};
 use crate::motion::{Motion, Twist, turn_of};
 
 /// Moments of a sweep whose poses are sought.
 pub(crate) const KNOTS: usize = 3;
 
 /// Returns that one thread sums up at a time. The sums are added in order, so threads change no bit.
-const GRAIN: usize = 512;
+pub(crate) const GRAIN: usize = 512;
 
 /// The kernel's width where the motion has converged, in standard deviations.
-const KERNEL: f64 = 2.5;
+pub(crate) const KERNEL: f64 = 2.5;
 
-/// A direction is weak if the returns tell this many times less about it than about the next one, information.
-const WEAK: f64 = 0.05;
+/// Of so many returns one is used until the kernel has its last width; returns are ordered for that.
+pub(crate) const COARSE: usize = 3;
 
-/// Planes whose normals have less than this share along a weak direction tell nothing about it but their own error.
-const LEAST_SHARE: f64 = 0.3;
+/// Information by which the motion is held along a direction that was looked at by itself.
+const HELD: f64 = 1e6;
 
 /// Passes at most.
 const MOST_PASSES: usize = 14;
@@ -48,8 +49,26 @@ pub(crate) struct Prediction {
     pub(crate) step_sigma: (f64, f64),
     /// The same, at most: where returns tell little, the motion lately says nothing about what it may be.
     pub(crate) most: (f64, f64),
+    /// Whether more than one scan is in the cells.
+    pub(crate) is_followed: bool,
+    /// How sure the motion is along a direction about which the returns of the last sweeps told nothing or little.
+    pub(crate) along: Option<Drift>,
     /// How far points may be off at first, metres.
     pub(crate) reach: f64,
+}
+
+impl Prediction {
+    /// How sure the motion is along a direction.
+    fn drift(&self, direction: DVec3) -> Drift {
+        self.along.unwrap_or_else(|| {
+            let d = six(direction, DVec3::ZERO);
+            let begin = self
+                .begin
+                .try_inverse()
+                .map_or(1.0, |covariance| (d.transpose() * covariance * d)[0]);
+            Drift::new(begin.sqrt(), 2.0 * self.most.0)
+        })
+    }
 }
 
 /// A registered sweep.
@@ -60,6 +79,8 @@ pub(crate) struct Registered {
     pub(crate) end: Matrix6<f64>,
     /// Information of the returns alone about a rigid motion of the sweep, about `centre`.
     pub(crate) rigid: Matrix6<f64>,
+    /// How sure the motion is at the end of the sweep along a direction about which most returns tell nothing, if there is one.
+    pub(crate) along: Option<Drift>,
     /// Share of returns that lie in cells with a plane.
     pub(crate) covered: f64,
     /// Share of returns that lie on their plane as well as noise allows.
@@ -69,13 +90,65 @@ pub(crate) struct Registered {
     pub(crate) passes: usize,
 }
 
-/// Sums over returns: for each piece between knots the blocks of the normal matrix.
+/// Sums over returns of one piece of the motion between two knots; α is the share of the way from the first to the second.
+#[derive(Clone, Default)]
+struct Piece {
+    /// The upper triangles of JᵀJ, row by row, weighted by (1−α)², α(1−α), α².
+    squares: [[f64; 21]; 3],
+    /// Jᵀr, weighted by 1−α, α.
+    sides: [[f64; 6]; 2],
+}
+
+impl Piece {
+    fn add(&mut self, j: &Vector6<f64>, r: f64, weight: f64, alpha: f64) {
+        let (a, b) = (1.0 - alpha, alpha);
+        let shares = [a * a, a * b, b * b];
+        let mut at = 0;
+        for row in 0..6 {
+            let weighted = weight * j[row];
+            for col in row..6 {
+                let product = weighted * j[col];
+                for (sum, share) in self.squares.iter_mut().zip(shares) {
+                    sum[at] += share * product;
+                }
+                at += 1;
+            }
+            for (side, share) in self.sides.iter_mut().zip([a, b]) {
+                side[row] += share * weighted * r;
+            }
+        }
+    }
+
+    fn add_all(&mut self, other: &Self) {
+        let sums = self.squares.as_flattened_mut().iter_mut();
+        sums.zip(other.squares.as_flattened()).for_each(|(a, b)| *a += b);
+        let sums = self.sides.as_flattened_mut().iter_mut();
+        sums.zip(other.sides.as_flattened()).for_each(|(a, b)| *a += b);
+    }
+
+    /// JᵀJ by the first knot, by both, and by the second.
+    fn blocks(&self) -> [Matrix6<f64>; 3] {
+        self.squares.map(|triangle| {
+            let mut block = Matrix6::zeros();
+            let mut values = triangle.into_iter();
+            for row in 0..6 {
+                for (col, value) in (row..6).zip(&mut values) {
+                    (block[(row, col)], block[(col, row)]) = (value, value);
+                }
+            }
+            block
+        })
+    }
+
+    fn sides(&self) -> [Vector6<f64>; 2] {
+        self.sides.map(Vector6::from)
+    }
+}
+
+/// Sums over returns.
 #[derive(Clone)]
 struct Normal {
-    /// For each piece: JᵀJ weighted by (1−α)², α(1−α), α².
-    blocks: Vec<[Matrix6<f64>; 3]>,
-    /// For each piece: Jᵀr weighted by 1−α, α.
-    sides: Vec<[Vector6<f64>; 2]>,
+    pieces: Vec<Piece>,
     covered: usize,
     matched: usize,
     squares: f64,
@@ -84,8 +157,7 @@ struct Normal {
 impl Normal {
     fn new(pieces: usize) -> Self {
         Self {
-            blocks: vec![[Matrix6::zeros(); 3]; pieces],
-            sides: vec![[Vector6::zeros(); 2]; pieces],
+            pieces: vec![Piece::default(); pieces],
             covered: 0,
             matched: 0,
             squares: 0.0,
@@ -93,12 +165,10 @@ impl Normal {
     }
 
     fn add(&mut self, other: &Self) {
-        for (a, b) in self.blocks.iter_mut().zip(&other.blocks) {
-            a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
-        }
-        for (a, b) in self.sides.iter_mut().zip(&other.sides) {
-            a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
-        }
+        self.pieces
+            .iter_mut()
+            .zip(&other.pieces)
+            .for_each(|(a, b)| a.add_all(b));
         self.covered += other.covered;
         self.matched += other.matched;
         self.squares += other.squares;
@@ -139,30 +209,17 @@ pub(crate) fn recentred(from: DVec3, to: DVec3) -> Matrix6<f64> {
     m
 }
 
-/// The direction of shifts that returns tell little about, if there is one.
-fn weak_direction(rigid: &Matrix6<f64>) -> Option<DVec3> {
-    let column = |c: usize| DVec3::new(rigid[(0, c)], rigid[(1, c)], rigid[(2, c)]);
-    let eigen = tsdfuse::eigen::eigen(&DMat3::from_cols(column(0), column(1), column(2)));
-    (eigen.values[0] < WEAK * eigen.values[1]).then_some(eigen.vectors[0])
-}
-
-/// Returns of planes that do tell about a direction.
-fn telling(cells: &Cells, returns: &[Return], motion: &Motion, direction: DVec3) -> Vec<Return> {
-    let placer = motion.placer();
-    let tells = |r: &&Return| {
-        let plane = cells.plane_at(placer.place(r.point, r.share));
-        plane.is_some_and(|(plane, ..)| plane.normal.dot(direction).abs() > LEAST_SHARE)
-    };
-    let parts = returns
-        .par_chunks(GRAIN)
-        .map(|part| part.iter().filter(tells).copied().collect::<Vec<_>>());
-    parts.collect::<Vec<_>>().concat()
+/// The weight of a residual, after Geman and McClure; `scale` is the square of the kernel's width.
+pub(crate) fn kernel(r: f64, scale: f64) -> f64 {
+    (scale / (scale + r * r)).powi(2)
 }
 
 /// The sums over all returns for a motion; `width` adds to the kernel's, metres.
+#[allow(clippy::too_many_arguments)]
 fn sum(
     cells: &Cells,
     returns: &[Return],
+    found: &mut [Found],
     motion: &Motion,
     knots: usize,
     centre: DVec3,
@@ -170,11 +227,11 @@ fn sum(
     weak: Option<DVec3>,
 ) -> Normal {
     let (pieces, placer) = (knots.saturating_sub(1).max(1), motion.placer());
-    let part = |returns: &[Return]| {
+    let part = |(returns, found): (&[Return], &mut [Found])| {
         let mut normal = Normal::new(pieces);
-        for Return { point, share } in returns {
+        for (Return { point, share }, found) in returns.iter().zip(found) {
             let x = placer.place(*point, *share);
-            let Some((plane, r, variance)) = cells.plane_at(x) else {
+            let Some((plane, r, variance)) = cells.plane_near(x, found) else {
                 continue;
             };
             normal.covered += 1;
@@ -183,10 +240,9 @@ fn sum(
                 normal.squares += r * r;
             }
             let scale = KERNEL * KERNEL * variance + width * width;
-            let kernel = scale / (scale + r * r);
-            let weight = kernel * kernel / (variance + 0.04 * width * width);
+            let weight = kernel(r, scale) / (variance + 0.04 * width * width);
             let mut j = derivative(plane.normal, x - centre);
-            if let Some(d) = weak.filter(|d| plane.normal.dot(*d).abs() < LEAST_SHARE) {
+            if let Some(d) = weak {
                 // Errors of many planes' normals would hold the sensor where it was.
                 j -= six(d * plane.normal.dot(d), DVec3::ZERO);
             }
@@ -196,20 +252,12 @@ fn sum(
                 0.0
             };
             let piece = (at as usize).min(pieces - 1);
-            let (a, b) = (1.0 - (at - piece as f64), at - piece as f64);
-            let jj = j * j.transpose() * weight;
-            let [aa, ab, bb] = &mut normal.blocks[piece];
-            *aa += jj * (a * a);
-            *ab += jj * (a * b);
-            *bb += jj * (b * b);
-            let jr = j * (weight * r);
-            let [side_a, side_b] = &mut normal.sides[piece];
-            *side_a += jr * a;
-            *side_b += jr * b;
+            normal.pieces[piece].add(&j, r, weight, at - piece as f64);
         }
         normal
     };
-    let parts: Vec<Normal> = returns.par_chunks(GRAIN).map(part).collect();
+    let parts = returns.par_chunks(GRAIN).zip(found.par_chunks_mut(GRAIN));
+    let parts: Vec<Normal> = parts.map(part).collect();
     let mut total = Normal::new(pieces);
     parts.iter().for_each(|part| total.add(part));
     total
@@ -235,48 +283,78 @@ fn step_error(from: &Pose, to: &Pose, predicted: &Pose, centre: DVec3) -> (Vecto
 
 /// The motion that brings the returns onto the cells' planes.
 ///
-/// Where the returns tell little about a direction, those of `all` join that do.
-pub(crate) fn register(cells: &Cells, returns: &[Return], all: &[Return], prediction: &Prediction) -> Registered {
-    let mut returns = std::borrow::Cow::Borrowed(returns);
-    let mut weak: Option<DVec3> = None;
-    let mut motion = prediction.motion.clone();
+/// Where `returns` tell little about a direction, all of `dense` are asked where they lie along it.
+pub(crate) fn register(cells: &Cells, returns: &[Return], dense: &[Return], prediction: &Prediction) -> Registered {
+    let mut found = vec![Found::default(); returns.len()];
+    let mut weak: Option<(DVec3, Sought)> = None;
+    // Where the last sweeps let the sensor be expected.
+    let mut expected = prediction.motion.clone();
+    let mut motion = expected.clone();
     let knots = if motion.poses.len() > 1 { KNOTS } else { 1 };
-    let begin = prediction.motion.first();
-    let centre = begin.translation;
+    let centre = expected.first().translation;
     let size = 6 * knots;
     let mut width = prediction.reach;
     let mut passes = 0;
     loop {
-        let normal = sum(cells, &returns, &motion, knots, centre, width, weak);
+        // A part of the returns leads near to where all of them lead.
+        let used = if width > 0.0 {
+            returns.len().div_ceil(COARSE)
+        } else {
+            returns.len()
+        };
+        let direction = weak.as_ref().map(|(direction, _)| *direction);
+        let normal = sum(
+            cells,
+            &returns[..used],
+            &mut found[..used],
+            &motion,
+            knots,
+            centre,
+            width,
+            direction,
+        );
         let mut h = DMatrix::<f64>::zeros(size, size);
         let mut g = DVector::<f64>::zeros(size);
         let add = |h: &mut DMatrix<f64>, row: usize, col: usize, m: &Matrix6<f64>| {
             let mut view = h.fixed_view_mut::<6, 6>(6 * row, 6 * col);
             view += m;
         };
+        let add_side = |g: &mut DVector<f64>, row: usize, v: &Vector6<f64>| {
+            let mut side = g.fixed_rows_mut::<6>(6 * row);
+            side += v;
+        };
         let mut rigid = Matrix6::zeros();
-        for (piece, ([aa, ab, bb], [a, b])) in normal.blocks.iter().zip(&normal.sides).enumerate() {
+        for (piece, sums) in normal.pieces.iter().enumerate() {
+            let ([aa, ab, bb], [a, b]) = (&sums.blocks(), &sums.sides());
             rigid += aa + ab * 2.0 + bb;
             add(&mut h, piece, piece, aa);
-            let mut side = g.fixed_rows_mut::<6>(6 * piece);
-            side += a;
+            add_side(&mut g, piece, a);
             if knots > 1 {
                 add(&mut h, piece, piece + 1, ab);
                 add(&mut h, piece + 1, piece, ab);
                 add(&mut h, piece + 1, piece + 1, bb);
-                let mut side = g.fixed_rows_mut::<6>(6 * (piece + 1));
-                side += b;
+                add_side(&mut g, piece + 1, b);
+            }
+        }
+        if let Some((direction, Sought { information, .. })) = &weak {
+            let d = six(*direction, DVec3::ZERO);
+            let dd = d * d.transpose();
+            rigid += dd * *information;
+            // Along it the motion is what was found; what is left of the normals' errors moves nothing.
+            for k in 0..knots {
+                let e = direction.dot(motion.knot(k, knots).translation - expected.knot(k, knots).translation);
+                add(&mut h, k, k, &(dd * HELD));
+                add_side(&mut g, k, &(d * (HELD * e)));
             }
         }
         // Where the last sweep ended.
-        let first = motion.first();
+        let (first, begin) = (motion.first(), expected.first());
         let off = six(
             first.translation - begin.translation,
             turn_of(first.rotation * begin.rotation.conjugate()),
         );
         add(&mut h, 0, 0, &prediction.begin);
-        let mut side = g.fixed_rows_mut::<6>(0);
-        side += prediction.begin * off;
+        add_side(&mut g, 0, &(prediction.begin * off));
         // The motion as predicted.
         let (shift_sigma, turn_sigma) = match weak {
             Some(_) => prediction.most,
@@ -288,17 +366,15 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], all: &[Return], predic
         ));
         for k in 0..knots - 1 {
             let (from, to) = (motion.knot(k, knots), motion.knot(k + 1, knots));
-            let predicted = prediction.motion.knot(k, knots).inverse() * prediction.motion.knot(k + 1, knots);
+            let predicted = expected.knot(k, knots).inverse() * expected.knot(k + 1, knots);
             let (e, by_from, by_to) = step_error(&from, &to, &predicted, centre);
             let (wf, wt) = (by_from.transpose() * information, by_to.transpose() * information);
             add(&mut h, k, k, &(wf * by_from));
             add(&mut h, k, k + 1, &(wf * by_to));
             add(&mut h, k + 1, k, &(wt * by_from));
             add(&mut h, k + 1, k + 1, &(wt * by_to));
-            let mut side = g.fixed_rows_mut::<6>(6 * k);
-            side += wf * e;
-            let mut side = g.fixed_rows_mut::<6>(6 * (k + 1));
-            side += wt * e;
+            add_side(&mut g, k, &(wf * e));
+            add_side(&mut g, k + 1, &(wt * e));
         }
         passes += 1;
         let solved = h.clone().cholesky().map(|c| c.solve(&(-&g)));
@@ -320,25 +396,28 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], all: &[Return], predic
             let last = motion.last().translation;
             let end = marginal_of_last(&h, knots);
             let to_last = recentred(centre, last);
-            let n = returns.len().max(1) as f64;
+            let n = used.max(1) as f64;
             return Registered {
                 motion,
                 end: to_last.transpose() * end * to_last,
                 rigid,
+                along: weak.map(|(_, sought)| sought.drift.at_end()),
                 covered: normal.covered as f64 / n,
                 matched: normal.matched as f64 / n,
                 rms: (normal.squares / normal.matched.max(1) as f64).sqrt(),
                 passes,
             };
         }
-        if passes == 2 {
-            weak = weak_direction(&rigid);
-            if let Some(direction) = weak {
-                returns.to_mut().extend(telling(cells, all, &motion, direction));
-                // What errors of normals have moved so far does not count.
-                motion = prediction.motion.clone();
-                width = 2.0 * prediction.reach;
-            }
+        if passes == 2
+            && let Some(direction) = weak_direction(cells, returns, &motion)
+        {
+            let drift = prediction.drift(direction);
+            // What errors of normals have moved along it so far does not count.
+            motion = motion.as_along(&expected, direction);
+            let sought = sought_along(cells, dense, &motion, direction, drift, prediction.is_followed);
+            expected = expected.shifted(direction, sought.shift);
+            motion = motion.shifted(direction, sought.shift);
+            weak = Some((direction, sought));
         }
         width = if width < 0.02 || (moved < 0.01 && width < 0.1) {
             0.0

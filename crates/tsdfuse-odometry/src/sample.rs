@@ -1,10 +1,11 @@
 //! Which returns of a scan are used: spread evenly over space.
 
 use glam::Vec3;
+use rayon::prelude::*;
 use rustc_hash::{FxBuildHasher, FxHashSet};
 use tsdfuse::Scan;
 
-use crate::register::Return;
+use crate::register::{COARSE, Return};
 
 /// The span of a sweep and its returns, spread evenly over space.
 #[derive(Clone, Debug)]
@@ -13,18 +14,34 @@ pub(crate) struct Sampled {
     pub(crate) span: (f64, f64),
     /// For the map.
     pub(crate) dense: Vec<Return>,
-    /// For registration.
+    /// For registration: each [`COARSE`]-th one first, then the next ones of these, and so on.
     pub(crate) sparse: Vec<Return>,
 }
 
-/// The first return in each cube of space.
-fn thinned(returns: impl Iterator<Item = Return>, size: f32, expected: usize) -> Vec<Return> {
-    let mut taken: FxHashSet<u64> = FxHashSet::with_capacity_and_hasher(expected, FxBuildHasher);
-    let cube = |p: Vec3| {
+/// Returns that one thread looks at, at a time.
+const GRAIN: usize = 4096;
+
+/// Parts of space that are thinned beside each other.
+const PARTS: u64 = 16;
+
+/// The first return in each cube of space, in order.
+fn thinned(returns: &[Return], size: f32) -> Vec<Return> {
+    let cube = |r: &Return| {
         let bits = |v: f32| u64::from((v / size).floor() as i32 as u32 & 0x1f_ffff);
-        bits(p.x) << 42 | bits(p.y) << 21 | bits(p.z)
+        bits(r.point.x) << 42 | bits(r.point.y) << 21 | bits(r.point.z)
     };
-    returns.filter(|r| taken.insert(cube(r.point))).collect()
+    let part_of = |cube: u64| cube.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32 & (PARTS - 1);
+    let cubes: Vec<u64> = returns.par_iter().with_min_len(GRAIN).map(cube).collect();
+    let firsts = (0..PARTS).into_par_iter().map(|part| {
+        let mut taken: FxHashSet<u64> = FxHashSet::with_capacity_and_hasher(cubes.len() / 40, FxBuildHasher);
+        let own = cubes.iter().enumerate().filter(|(_, cube)| part_of(**cube) == part);
+        own.filter(|(_, cube)| taken.insert(**cube))
+            .map(|(i, _)| i as u32)
+            .collect::<Vec<_>>()
+    });
+    let mut firsts = firsts.collect::<Vec<_>>().concat();
+    firsts.par_sort_unstable();
+    firsts.into_iter().map(|i| returns[i as usize]).collect()
 }
 
 /// Cubes of the two selections, metres; the larger ones follow the number of returns that is wanted.
@@ -51,15 +68,17 @@ impl Sampling {
         let returns = returns
             .filter(|(_, p)| p.is_finite() && **p != Vec3::ZERO)
             .map(|(i, &point)| Return { point, share: share(i) });
-        let dense = thinned(returns, self.dense_m, scan.points.len() / 2);
-        let sparse = thinned(dense.iter().copied(), self.sparse_m, self.wanted);
+        let dense = thinned(&returns.collect::<Vec<_>>(), self.dense_m);
+        let sparse = thinned(&dense, self.sparse_m);
         let ratio = sparse.len().max(1) as f32 / self.wanted as f32;
         // Returns lie on surfaces: their number falls with the square of the cubes' edge.
         self.sparse_m = (self.sparse_m * ratio.sqrt().clamp(0.7, 1.4)).clamp(self.dense_m, 2.0);
         Sampled {
             span: (f64::from(span.0), f64::from(span.1)),
+            sparse: (0..COARSE)
+                .flat_map(|first| sparse.iter().skip(first).step_by(COARSE).copied())
+                .collect(),
             dense,
-            sparse,
         }
     }
 }

@@ -4,11 +4,13 @@ use std::collections::VecDeque;
 
 use glam::{DMat3, DVec3};
 use nalgebra::{Matrix3, Matrix6};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use tsdfuse::scan::PoseAt;
 use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, Scan};
 
+use crate::along::Drift;
 use crate::cells::Cells;
 use crate::motion::{Motion, STEPS, repeated, turn_of};
 use crate::register::{Prediction, Registered, register};
@@ -16,6 +18,12 @@ use crate::sample::{Sampled, Sampling};
 
 /// A scan with fewer returns, evenly spread, is not placed by them.
 const LEAST_RETURNS: usize = 50;
+
+/// A cell takes no more points than this: what was seen first, with the least drift, stays.
+const MOST_POINTS: f64 = 4000.0;
+
+/// How far a sensor may move in its first sweep along a direction that its returns do not tell, metres.
+const FIRST_VELOCITY: f64 = 1.0;
 
 /// Options of the odometry. The defaults suit all rotating LiDARs, indoors and outdoors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -105,6 +113,8 @@ struct Last {
     information: Matrix6<f64>,
     /// Sensor at the end of a second from sensor at its begin.
     velocity: Pose,
+    /// How sure the motion is along a direction about which the returns of this sweep told nothing or little.
+    along: Option<Drift>,
     /// How far the prediction was off lately: metres, radians, for a sweep.
     innovation: (f64, f64),
 }
@@ -135,7 +145,7 @@ impl Tracker {
                 sparse_m: 0.5,
                 wanted: config.returns,
             },
-            cells: Cells::new(config.cell_m, config.noise_m),
+            cells: Cells::new(config.cell_m, config.noise_m, MOST_POINTS),
             first: None,
             last: None,
             ready: VecDeque::new(),
@@ -203,11 +213,12 @@ impl Tracker {
         let mut motions = (Motion::still(Pose::IDENTITY), Motion::still(Pose::IDENTITY));
         let mut quality = Quality::default();
         let mut end = Matrix6::identity();
+        let mut is_weak = false;
         const TURNS: usize = 4;
         for turn in 0..TURNS {
             let secs = span(&first.1);
             motions.0 = moving(Pose::IDENTITY, &velocity, secs);
-            self.cells = Cells::new(self.config.cell_m, self.config.noise_m);
+            self.cells = Cells::new(self.config.cell_m, self.config.noise_m, MOST_POINTS);
             (self.here, self.driven) = (DVec3::ZERO, 0.0);
             self.see(&first.1, &motions.0);
             let begin = repeated(&velocity, gap);
@@ -226,12 +237,14 @@ impl Tracker {
                         0.002 + 0.02 * 0.5_f64.powi(turn as i32),
                     ),
                     most: (0.05, 0.02),
+                    is_followed: false,
+                    along: None,
                     reach,
                 },
             );
             velocity = repeated(&registered.motion.first(), 1.0 / gap);
             quality = self.quality(&registered);
-            (motions.1, end) = (registered.motion, registered.end);
+            (motions.1, end, is_weak) = (registered.motion, registered.end, registered.along.is_some());
         }
         self.place(first.0, &motions.0, first.1.span, Quality::default());
         self.see(&second.1, &motions.1);
@@ -240,6 +253,7 @@ impl Tracker {
             motion: motions.1.clone(),
             information: end,
             velocity,
+            along: is_weak.then(|| Drift::new(0.01, FIRST_VELOCITY)),
             innovation: (0.05, 0.01),
         });
         self.place(second.0, &motions.1, second.1.span, quality);
@@ -278,6 +292,8 @@ impl Tracker {
             begin: information,
             step_sigma: expected,
             most: (own.0.max(0.02), own.1.max(0.004)),
+            is_followed: true,
+            along: last.along.map(|drift| drift.next(gap / secs.max(0.01), 2.0 * own.0)),
             reach: (4.0 * last.innovation.0 + 20.0 * last.innovation.1).clamp(0.05, 1.0),
         };
         let mut registered = register(&self.cells, &sampled.sparse, &sampled.dense, &prediction);
@@ -311,6 +327,7 @@ impl Tracker {
         self.last = Some(Last {
             end: begin_at.unwrap_or(last.end + gap) + secs,
             information: registered.end,
+            along: registered.along,
             velocity,
             innovation: (
                 calm(last.innovation.0, innovation.0),
@@ -346,11 +363,11 @@ impl Tracker {
     /// Adds what a scan saw to the cells.
     fn see(&mut self, sampled: &Sampled, motion: &Motion) {
         let placer = motion.placer();
-        let points = sampled.dense.iter().map(|r| placer.place(r.point, r.share));
-        let seen = self.cells.seen(points);
+        let points = sampled.dense.par_iter().with_min_len(1024);
+        let points: Vec<DVec3> = points.map(|r| placer.place(r.point, r.share)).collect();
         self.driven += motion.last().translation.distance(self.here);
         self.here = motion.last().translation;
-        self.cells.add(&seen, self.driven);
+        self.cells.add(&points, self.driven);
         let here = motion.last().translation;
         if self.driven - self.forgotten_at > 0.05 * self.config.remember_m {
             self.cells
