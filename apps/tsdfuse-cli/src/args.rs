@@ -19,7 +19,8 @@ use crate::exit::Usage;
 /// The log and the settings.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LogArgs {
-    /// The log to read; its format (PandaSet, KITTI, plain folder, RGB-D, ...) is detected.
+    /// The log to read; its format (PandaSet, KITTI, plain folder, RGB-D, PCAP, ...) is detected. udp://:PORT is a LiDAR that
+    /// sends packets now.
     #[arg(value_name = "LOG")]
     pub(crate) log: PathBuf,
     #[arg(long, value_name = "M",
@@ -41,6 +42,10 @@ pub(crate) struct LogArgs {
     /// (pandar64, hdl64e, vlp16, ...).
     #[arg(long, value_name = "NAME", value_delimiter = ',')]
     pub(crate) sensor: Vec<String>,
+    /// The calibration of a LiDAR whose packets are read: Velodyne's XML or YAML, Hesai's CSV, Ouster's metadata [default: what
+    /// fits and lies beside the recording, or the model's nominal angles].
+    #[arg(long, value_name = "FILE")]
+    pub(crate) calibration: Option<PathBuf>,
     #[arg(long, value_name = "M",
         help = format!("Drop returns nearer than this, metres [default: the log's, or {}]", RangeLimits::default().min_range_m))]
     pub(crate) min_range: Option<f64>,
@@ -93,6 +98,7 @@ impl LogArgs {
             options: OpenOptions {
                 poses: self.poses.clone().filter(|path| !is_word(path)),
                 sensors: self.sensor.clone(),
+                calibration: self.calibration.clone(),
                 ..OpenOptions::default()
             },
             selection: self.scans.clone().unwrap_or_default(),

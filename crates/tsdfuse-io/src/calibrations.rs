@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use tsdfuse_packets::{Calibration, Decoder, Sensor};
 
+use crate::error::{Error, Result};
 use crate::files;
 
 /// Larger files are no calibrations.
@@ -30,8 +31,28 @@ struct Found {
 }
 
 impl Calibrations {
+    /// The one that is named, or else those beside the recording.
+    ///
+    /// # Errors
+    /// If the one that is named cannot be read.
+    pub(crate) fn given_or_beside(given: Option<&Path>, recording: &Path) -> Result<Self> {
+        let Some(path) = given else {
+            return Ok(Self::beside(recording));
+        };
+        let calibration = Calibration::parse(&files::read(path)?);
+        Ok(Self {
+            stem: stem(path),
+            found: vec![Found {
+                calibration: calibration.map_err(|reason| Error::format(path, reason.to_string()))?,
+                path: path.to_owned(),
+                is_beside: true,
+            }],
+            unreadable: Vec::new(),
+        })
+    }
+
     /// Looks for them.
-    pub(crate) fn beside(recording: &Path) -> Self {
+    fn beside(recording: &Path) -> Self {
         let folder = if recording.is_dir() {
             recording
         } else {

@@ -103,7 +103,7 @@ struct Survey {
 
 impl Survey {
     fn of(path: &Path, options: &OpenOptions) -> Result<Self> {
-        let calibrations = Calibrations::beside(path);
+        let calibrations = Calibrations::given_or_beside(options.calibration.as_deref(), path)?;
         let told = match options.sensors.as_slice() {
             [name] => Model::named(name),
             _ => None,

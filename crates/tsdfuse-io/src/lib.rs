@@ -40,6 +40,7 @@ mod suggested;
 mod text;
 pub mod times;
 mod together;
+mod udp;
 #[cfg(feature = "zarr")]
 pub mod zarr;
 
@@ -48,7 +49,7 @@ pub use error::{Error, Result};
 pub use log::{Log, open, open_with};
 pub use read_ahead::{ReadAhead, ReadScan, Scans};
 pub use selection::Selection;
-pub use source::{ImageRef, ImuSample, OpenOptions, ScanRef, Sensor, Source, Stream, StreamedScan};
+pub use source::{ImageRef, ImuSample, News, OpenOptions, ScanRef, Sensor, Source, Stream, StreamedScan};
 pub use suggested::{
     DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_METHOD, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M, Suggested,
 };

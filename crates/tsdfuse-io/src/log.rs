@@ -1,7 +1,7 @@
 //! A log: the scans of one or several sensors, and what was recorded with them, whatever the files look like.
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
 use tsdfuse::{Scan, Trajectory};
 
@@ -51,7 +51,7 @@ const FORMATS: &[Format] = &[
     },
 ];
 
-/// Opens the log at `path`; its format is recognised from what lies there.
+/// Opens the log at `path`; its format is recognised from what lies there. `udp://HOST:PORT` is a LiDAR that sends packets now.
 ///
 /// # Errors
 /// One line that names the folder, and the file and line where one is wrong.
@@ -73,6 +73,9 @@ pub fn open(path: impl AsRef<Path>) -> Result<Log> {
 /// As [`open`].
 pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
     let path = path.as_ref();
+    if let Some(address) = crate::udp::address(path) {
+        return crate::udp::Udp::open(address, options).map(Log::of_stream);
+    }
     let is_folder = std::fs::metadata(path).map_err(Error::io(path))?.is_dir();
     match FORMATS.iter().find(|format| (format.recognises)(path)) {
         Some(format) => (format.open)(path, options),
@@ -203,6 +206,25 @@ impl Log {
         match &self.0 {
             Input::Source(source) => source.notes(),
             Input::Stream(live) => &live.notes,
+        }
+    }
+
+    /// Whether there are scans, and none of them has a pose.
+    pub fn is_unplaced(&self) -> bool {
+        match &self.0 {
+            Input::Source(source) => {
+                let scans = source.scans();
+                !scans.is_empty() && scans.iter().all(|scan| scan.pose.is_none())
+            }
+            Input::Stream(live) => !live.is_placed,
+        }
+    }
+
+    /// What came up while a stream was read, one sentence each, as far as is known by now; empty for other logs.
+    pub fn news(&self) -> Vec<String> {
+        match &self.0 {
+            Input::Source(_) => Vec::new(),
+            Input::Stream(live) => live.news.lock().unwrap_or_else(PoisonError::into_inner).clone(),
         }
     }
 

@@ -1,19 +1,21 @@
 //! Reading the next scans while the caller works on this one.
 
-use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{Builder, JoinHandle};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tsdfuse::Scan;
 use tsdfuse::scan::RangeLimits;
 
 use crate::error::{Error, Result};
 use crate::selection::Selection;
-use crate::source::{Sensor, Source, Stream, StreamedScan, checked, read_checked};
+use crate::source::{News, Sensor, Source, Stream, StreamedScan, checked, read_checked};
 
 /// Threads that read from a source; each holds at most one scan until the caller takes it.
 const LANES: usize = 2;
+/// How often somebody who waits for a stream looks whether to stop.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// One scan as it comes from [`ReadAhead`].
 #[derive(Debug)]
@@ -33,6 +35,8 @@ pub(crate) struct Live {
     pub(crate) format: String,
     pub(crate) sensors: Vec<Sensor>,
     pub(crate) notes: Vec<String>,
+    pub(crate) news: News,
+    pub(crate) is_placed: bool,
     /// `None` once somebody reads it.
     stream: Mutex<Option<Box<dyn Stream>>>,
 }
@@ -43,6 +47,8 @@ impl Live {
             format: stream.format().to_owned(),
             sensors: stream.sensors().to_vec(),
             notes: stream.notes().to_vec(),
+            news: stream.news(),
+            is_placed: stream.is_placed(),
             stream: Mutex::new(Some(Box::new(stream))),
         }
     }
@@ -86,6 +92,17 @@ impl ReadAhead {
     pub(crate) fn refused(live: &Live, indices: Vec<usize>) -> Self {
         let reason = "is a stream: it is read once, from its begin".to_owned();
         Self(Way::Refused(indices.into_iter(), [live.format.clone(), reason]))
+    }
+}
+
+impl ReadAhead {
+    /// The next scan; of a stream, it is waited for only until `is_stopped`, and then there is none.
+    pub fn next_unless(&mut self, is_stopped: impl Fn() -> bool) -> Option<ReadScan> {
+        match &mut self.0 {
+            _ if is_stopped() => None,
+            Way::Stream(pipe) => pipe.next_unless(is_stopped),
+            _ => self.next(),
+        }
     }
 }
 
@@ -256,9 +273,20 @@ impl Pipe {
     }
 
     fn next(&mut self) -> Option<ReadScan> {
-        if let Ok(read) = self.scans.recv() {
-            self.next = read.index + 1;
-            return Some(read);
+        self.next_unless(|| false)
+    }
+
+    fn next_unless(&mut self, is_stopped: impl Fn() -> bool) -> Option<ReadScan> {
+        loop {
+            match self.scans.recv_timeout(LOOK_EVERY) {
+                Ok(read) => {
+                    self.next = read.index + 1;
+                    return Some(read);
+                }
+                Err(RecvTimeoutError::Timeout) if is_stopped() => return None,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
         }
         // At the end, or the reader has panicked.
         let panicked = self.thread.take()?.join().is_err();
@@ -306,7 +334,6 @@ mod tests {
     use super::*;
     use crate::source::ScanRef;
     use std::sync::atomic::{AtomicUsize, Ordering};
-    use std::time::Duration;
 
     /// Twenty scans; counts the reads; scan 7 is broken, scan 9 panics.
     struct Counting {

@@ -4,6 +4,7 @@
 //! once, one after the other. [`Log`](crate::Log) is what users of either see.
 
 use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
 pub use tsdfuse::ImuSample;
@@ -24,6 +25,9 @@ pub struct OpenOptions {
     /// `body_from_sensor` of the only sensor: the poses are those of a body (vehicle, robot) that carries it. Replaces what the
     /// log says.
     pub extrinsics: Option<Pose>,
+    /// The calibration of the sensor whose packets are read (Velodyne's XML or YAML, Hesai's CSV, Ouster's metadata); without it,
+    /// one is looked for beside the recording.
+    pub calibration: Option<PathBuf>,
 }
 
 /// A sensor of a log.
@@ -156,7 +160,20 @@ pub trait Stream: Send {
     fn notes(&self) -> &[String] {
         &[]
     }
+
+    /// Whether its scans have poses.
+    fn is_placed(&self) -> bool {
+        true
+    }
+
+    /// What comes up while it is read, such as data that were lost: asked for again and again.
+    fn news(&self) -> News {
+        News::default()
+    }
 }
+
+/// What a [`Stream`] has to tell by now, one sentence each.
+pub type News = Arc<Mutex<Vec<String>>>;
 
 /// A scan of a [`Stream`].
 #[derive(Debug)]

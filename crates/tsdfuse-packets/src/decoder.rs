@@ -17,6 +17,8 @@ const MAX_RETURNS: usize = 1 << 22;
 const LATE_FRAMES: i32 = 16;
 /// The same of packets.
 const LATE_PACKETS: u32 = 1000;
+/// And of packets without numbers, nanoseconds.
+const LATE_NS: i64 = 500_000_000;
 /// A gap that counts more lost packets than this is a pause, or a sensor that was switched on again.
 const MAX_LOST: u64 = 100_000;
 
@@ -308,7 +310,11 @@ impl Decoder {
             }
             _ if looked_away => 0,
             _ if time_ns < last.time_ns => {
-                self.count_late();
+                // By more, its clock was set.
+                if last.time_ns.saturating_sub(time_ns) < LATE_NS {
+                    self.last = Some(last);
+                    self.count_late();
+                }
                 return;
             }
             _ => {

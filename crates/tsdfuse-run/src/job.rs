@@ -90,7 +90,7 @@ impl Input {
 
 /// Whether no scan has a pose.
 pub(crate) fn is_unplaced(log: &Log) -> bool {
-    log.scans().iter().all(|scan| scan.pose.is_none()) && !log.scans().is_empty()
+    log.is_unplaced()
 }
 
 /// A run as data.

@@ -107,7 +107,7 @@ impl LogReport {
             sensor: first.and_then(|sensor: &Sensor| sensor.model.clone()),
             camera: first.and_then(|sensor| sensor.camera),
             sensors: log.sensors().iter().map(|sensor| sensor.name.clone()).collect(),
-            notes: log.notes().to_vec(),
+            notes: [log.notes(), &log.news()].concat(),
         }
     }
 }

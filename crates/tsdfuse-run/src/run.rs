@@ -79,6 +79,7 @@ impl Job {
     ) -> Result<Report> {
         session.stop_by(stop);
         let growth = self.fuse(&mut session, observer)?;
+        log.news().iter().for_each(|news| observer.on(Event::Note(news)));
         let device = session.device();
         if let Some(path) = &self.outputs.poses {
             session.write_poses(path)?;

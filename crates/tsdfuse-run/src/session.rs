@@ -277,9 +277,9 @@ impl Session {
         let Some(reading) = &mut self.reading else {
             return Ok(false);
         };
-        self.stopped = self.stop.is_stopped();
         let waiting = Instant::now();
-        let read = if self.stopped { None } else { reading.next() };
+        let read = reading.next_unless(|| self.stop.is_stopped());
+        self.stopped = read.is_none() && self.stop.is_stopped();
         let Some(read) = read else {
             self.reading = None;
             if let Some(tracking) = &mut self.tracking {

@@ -1,0 +1,138 @@
+use std::thread;
+
+use super::*;
+use crate::{Log, Selection};
+
+/// A packet of a VLP-16 at so many packets after azimuth 0, ten turns a second.
+fn vlp16(i: u32) -> Vec<u8> {
+    let mut packet = Vec::new();
+    for block in 0..12 {
+        packet.extend([0xFF, 0xEE]);
+        packet.extend((((480 * i + block * 40) % 36_000) as u16).to_le_bytes());
+        (0..32).for_each(|_| packet.extend([0xE8, 3, 9]));
+    }
+    packet.extend((i * 1327).to_le_bytes());
+    packet.extend([0x37, 0x22]);
+    packet
+}
+
+fn free_port() -> u16 {
+    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// Sends packets of these numbers to the port, as fast as `pause` lets it.
+fn send(port: u16, numbers: impl Iterator<Item = u32> + Send + 'static, pause: Duration) -> thread::JoinHandle<()> {
+    thread::spawn(move || {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        // Until somebody listens, the first packets are lost.
+        thread::sleep(Duration::from_millis(200));
+        for number in numbers {
+            socket.send_to(&vlp16(number), ("127.0.0.1", port)).unwrap();
+            thread::sleep(pause);
+        }
+    })
+}
+
+fn opened(port: u16, sensors: &[&str]) -> Log {
+    let options = OpenOptions {
+        sensors: sensors.iter().map(ToString::to_string).collect(),
+        ..OpenOptions::default()
+    };
+    crate::open_with(format!("udp://127.0.0.1:{port}"), &options).unwrap()
+}
+
+#[test]
+fn sweeps_come_as_they_are_sent_and_lost_packets_are_counted() {
+    let port = free_port();
+    // Packets 100 and 101 are lost, 31 and 30 are swapped.
+    let numbers = (0..250).filter(|i| !(100..102).contains(i)).map(|i| match i {
+        30 => 31,
+        31 => 30,
+        i => i,
+    });
+    let sender = send(port, numbers, Duration::from_micros(300));
+    let log = opened(port, &[]);
+    assert_eq!((log.len(), log.sensors()[0].name.as_str()), (None, "vlp16"));
+    assert!(log.is_unplaced() && log.notes()[0].starts_with("packets of a vlp16 come from 127.0.0.1:"));
+    let scans: Vec<_> = log.read_ahead(&Selection::default()).collect();
+    sender.join().unwrap();
+    // Three turns and a third; the last third counts, too.
+    assert_eq!(scans.len(), 4, "{:?}", log.news());
+    for read in &scans[..3] {
+        let scan = read.scan.as_ref().unwrap();
+        assert!(
+            scan.points.len() >= 73 * 384 && scan.pose.is_none(),
+            "{}",
+            scan.points.len()
+        );
+    }
+    let news = log.news();
+    assert_eq!(news, [format!("udp://127.0.0.1:{port}: 248 packets, 2 lost, 1 late")]);
+}
+
+#[test]
+fn the_newest_sweep_wins_if_nobody_can_keep_up() {
+    let port = free_port();
+    let sender = send(port, 0..75 * 12, Duration::from_micros(200));
+    let log = opened(port, &["VLP-16"]);
+    let mut scans = log.read_ahead(&Selection::default());
+    let first = scans.next().unwrap();
+    assert_eq!(first.index, 0);
+    // Nobody takes a scan until all were sent.
+    sender.join().unwrap();
+    let rest: Vec<_> = scans.collect();
+    assert!(rest.len() <= 4, "{}", rest.len());
+    let last_ns = rest.last().unwrap().scan.as_ref().unwrap().time_ns.unwrap();
+    let passed_ns = last_ns - first.scan.unwrap().time_ns.unwrap();
+    assert!(passed_ns > 1_000_000_000, "the last turn is there: {passed_ns}");
+    let left_out = log
+        .news()
+        .iter()
+        .any(|news| news.contains("sweeps came faster than they could be fused"));
+    assert!(left_out, "{:?}", log.news());
+}
+
+#[test]
+fn a_reader_that_stops_does_not_wait() {
+    let port = free_port();
+    let sender = send(port, 0..100, Duration::from_micros(100));
+    let log = opened(port, &[]);
+    let mut scans = log.read_ahead(&Selection::default());
+    sender.join().unwrap();
+    assert!(scans.next_unless(|| false).is_some());
+    let begin = Instant::now();
+    assert!(
+        scans
+            .next_unless(|| begin.elapsed() > Duration::from_millis(20))
+            .is_none()
+    );
+    assert!(begin.elapsed() < Duration::from_millis(500));
+}
+
+#[test]
+fn what_cannot_be_listened_to_is_told() {
+    let told = |address: &str, options: &OpenOptions| crate::open_with(address, options).unwrap_err().to_string();
+    let plain = OpenOptions::default();
+    assert_eq!(
+        told("udp://", &plain),
+        "udp://: has no port: udp://:2368, or udp://HOST:2368"
+    );
+    assert_eq!(
+        told("udp://:0", &plain),
+        "udp://:0: has no port: udp://:2368, or udp://HOST:2368"
+    );
+    let port = free_port();
+    let silent = format!("udp://127.0.0.1:{port}");
+    assert_eq!(
+        told(&silent, &plain),
+        format!("{silent}: no packet of a LiDAR came within {SILENCE_SECS} s")
+    );
+    let odd = OpenOptions {
+        sensors: vec!["mid360".into()],
+        ..OpenOptions::default()
+    };
+    assert!(told(&silent, &odd).contains("mid360 is no sensor whose packets are known: vlp16, "));
+    let held = UdpSocket::bind(("127.0.0.1", port)).unwrap();
+    assert!(told(&silent, &plain).starts_with(&format!("{silent}: ")));
+    drop(held);
+}
