@@ -185,6 +185,12 @@ pub fn capture(bytes: &[u8]) {
     }
 }
 
+/// The tables of an OSF file: a part of it, with its size in front, as a chunk of messages.
+pub fn osf(bytes: &[u8]) {
+    crate::osf::parse_part(bytes);
+    crate::osf::parse_part(&[&(bytes.len() as u32).to_le_bytes(), bytes].concat());
+}
+
 /// A sensor's model.
 pub fn sensor(bytes: &[u8]) {
     let _ = folder::parse_sensor(Path::new(PATH), bytes);
@@ -229,6 +235,11 @@ mod tests {
     use super::*;
 
     proptest! {
+        #[test]
+        fn any_tables_are_bearable(bytes in prop::collection::vec(prop::sample::select(vec![0u8, 1, 2, 4, 6, 8, 16, 30, 255]), 0..200)) {
+            osf(&bytes);
+        }
+
         #[test]
         fn any_capture_is_bearable(
             bytes in prop::collection::vec(any::<u8>(), 0..200),

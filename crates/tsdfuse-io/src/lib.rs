@@ -22,6 +22,7 @@ pub mod map_file;
 pub mod mesh;
 pub mod npz;
 pub mod obj;
+mod osf;
 pub mod pandaset;
 mod pcd;
 mod pickle;

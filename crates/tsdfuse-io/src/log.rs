@@ -42,6 +42,10 @@ const FORMATS: &[Format] = &[
         open: |path, options| crate::capture::open(path, options).map(Log::new),
     },
     Format {
+        recognises: crate::osf::recognises,
+        open: |path, options| crate::osf::open(path, options).map(Log::new),
+    },
+    Format {
         recognises: crate::rgbd::recognises,
         open: |path, options| crate::rgbd::open(path, options).map(Log::new),
     },
@@ -81,7 +85,7 @@ pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
         Some(format) => (format.open)(path, options),
         None if !is_folder => Err(Error::dataset(
             path,
-            "is no capture of a LiDAR's packets (PCAP, pcapng); other data sets are folders",
+            "is no capture of a LiDAR's packets (PCAP, pcapng) and no OSF; other data sets are folders",
         )),
         None => Err(Error::dataset(
             path,

@@ -52,6 +52,11 @@ pub(crate) fn recognise(payload: &[u8]) -> Option<Sensor> {
     (is_legacy() || is_later()).then_some(Sensor::Ouster)
 }
 
+/// The ring of each row: 0 is the lowest.
+pub fn rings(metadata: &Metadata) -> Vec<u16> {
+    crate::hesai::rings(metadata.elevations_deg.iter().copied())
+}
+
 /// The decoder of Ouster's packets.
 pub(crate) struct Ouster {
     metadata: Metadata,
@@ -83,7 +88,7 @@ impl Ouster {
         };
         let profile = Profile::named(&metadata.profile)?;
         Ok(Self {
-            rings: crate::hesai::rings(metadata.elevations_deg.iter().copied()),
+            rings: rings(&metadata),
             beams: Beams::new(&metadata),
             frame: None,
             profile,
