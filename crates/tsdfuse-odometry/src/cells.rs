@@ -8,7 +8,7 @@
 //! (Adaptive voxels with the planes' uncertainty: Yuan et al., "Efficient and Probabilistic Adaptive Voxel Mapping for
 //! Accurate Online LiDAR Odometry", RA-L 2022.)
 
-use glam::{DMat3, DVec3, IVec3};
+use glam::{DMat3, DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 use tsdfuse::eigen::eigen;
@@ -30,6 +30,12 @@ const THICKEST: f64 = 0.1;
 
 /// The plane's second widest direction is at least this many times as wide as the plane is thick.
 const LEAST_WIDTH: f64 = 3.0;
+
+/// Elevations within such an angle are not told apart, radians.
+const ELEVATION_STEP: f32 = 0.005;
+
+/// Elevations at which the points of a plane are seen, at least.
+const LEAST_ELEVATIONS: u32 = 2;
 
 /// Cells are split by the hash of the largest one that they lie in, and each part is filled by one thread.
 const SHARDS: usize = 16;
@@ -134,6 +140,8 @@ impl Plane {
 struct Cell {
     /// Its number along each axis, in cubes of its size.
     key: IVec3,
+    /// The elevations at which its points were seen, as bits.
+    elevations: u64,
     /// Whether its points changed since its plane was fitted.
     is_touched: bool,
     level: u8,
@@ -142,6 +150,21 @@ struct Cell {
     fitted: f64,
     /// How far the sensor had moved when points were added last, metres.
     seen_at: f64,
+}
+
+/// A point that was seen.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen {
+    /// In the world.
+    pub(crate) at: DVec3,
+    /// The elevation at which the sensor saw it, as one of 64 bits: see [`elevation_bit`].
+    pub(crate) elevation: u64,
+}
+
+/// The bit of a point's elevation in the frame of the sensor: the points of one beam of a rotating LiDAR have the same.
+pub(crate) fn elevation_bit(p: Vec3) -> u64 {
+    let elevation = p.z.atan2(p.truncate().length());
+    1 << ((elevation / ELEVATION_STEP).floor() as i64).rem_euclid(64)
 }
 
 /// Some of the largest cells, and all smaller ones in them.
@@ -200,6 +223,7 @@ impl Shard {
     fn create(&mut self, key: IVec3, level: u8) -> u32 {
         self.cells.push(Cell {
             key,
+            elevations: 0,
             is_touched: false,
             level,
             sums: Sums::default(),
@@ -212,7 +236,7 @@ impl Shard {
     }
 
     /// Adds a point to the cells that it lies in, or takes it away.
-    fn add(&mut self, p: DVec3, grid: &Grid, sign: f64, driven: f64) {
+    fn add(&mut self, Seen { at: p, elevation }: Seen, grid: &Grid, sign: f64, driven: f64) {
         let smallest = grid.key(p);
         let root = smallest >> TOP as i32;
         let mut at = match self.roots.get(&root) {
@@ -226,6 +250,7 @@ impl Shard {
         for level in (0..LEVELS as u8).rev() {
             let cell = &mut self.cells[at as usize];
             cell.seen_at = driven;
+            cell.elevations |= elevation;
             if sign < 0.0 || cell.sums.n < grid.most_points {
                 cell.sums.add(p - grid.centre(cell.key, level), sign);
                 let n = cell.sums.n;
@@ -255,7 +280,10 @@ impl Shard {
             let cell = &mut self.cells[at as usize];
             let (centre, size) = (grid.centre(cell.key, cell.level), grid.size(cell.level));
             (cell.is_touched, cell.fitted) = (false, cell.sums.n);
-            self.planes[at as usize] = cell.sums.plane(centre, size, grid.noise);
+            // The points of one beam lie in its cone, whatever they lie on.
+            let is_known = cell.elevations.count_ones() >= LEAST_ELEVATIONS;
+            let plane = || cell.sums.plane(centre, size, grid.noise);
+            self.planes[at as usize] = is_known.then(plane).flatten();
         }
     }
 
@@ -318,21 +346,21 @@ impl Cells {
     }
 
     /// Adds points that were seen when the sensor had moved by `driven` metres.
-    pub(crate) fn add(&mut self, points: &[DVec3], driven: f64) {
+    pub(crate) fn add(&mut self, points: &[Seen], driven: f64) {
         self.change(points, 1.0, driven);
     }
 
     /// Takes points away that were added.
-    pub(crate) fn remove(&mut self, points: &[DVec3], driven: f64) {
+    pub(crate) fn remove(&mut self, points: &[Seen], driven: f64) {
         self.change(points, -1.0, driven);
     }
 
-    fn change(&mut self, points: &[DVec3], sign: f64, driven: f64) {
+    fn change(&mut self, points: &[Seen], sign: f64, driven: f64) {
         let grid = self.grid;
         let shards: Vec<u8> = points
             .par_iter()
             .with_min_len(GRAIN)
-            .map(|&p| shard_of(grid.key(p) >> TOP as i32) as u8)
+            .map(|seen| shard_of(grid.key(seen.at) >> TOP as i32) as u8)
             .collect();
         self.shards.par_iter_mut().enumerate().for_each(|(number, shard)| {
             let own = points.iter().zip(&shards).filter(|(_, s)| usize::from(**s) == number);

@@ -20,6 +20,9 @@ pub(crate) const KNOTS: usize = 3;
 /// Returns that one thread sums up at a time. The sums are added in order, so threads change no bit.
 pub(crate) const GRAIN: usize = 512;
 
+/// The share of returns that count: neighbours share the errors of their plane.
+const INDEPENDENT: f64 = 0.03;
+
 /// The kernel's width where the motion has converged, in standard deviations.
 pub(crate) const KERNEL: f64 = 2.5;
 
@@ -240,7 +243,7 @@ fn sum(
                 normal.squares += r * r;
             }
             let scale = KERNEL * KERNEL * variance + width * width;
-            let weight = kernel(r, scale) / (variance + 0.04 * width * width);
+            let weight = INDEPENDENT * kernel(r, scale) / (variance + 0.04 * width * width);
             let mut j = derivative(plane.normal, x - centre);
             if let Some(d) = weak {
                 // Errors of many planes' normals would hold the sensor where it was.

@@ -11,7 +11,7 @@ use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, Scan};
 
 use crate::along::Drift;
-use crate::cells::Cells;
+use crate::cells::{Cells, Seen, elevation_bit};
 use crate::motion::{Motion, STEPS, repeated, turn_of};
 use crate::register::{Prediction, Registered, register};
 use crate::sample::{Sampled, Sampling};
@@ -267,10 +267,10 @@ impl Tracker {
         let begin = last.motion.last() * repeated(&last.velocity, gap);
         // From rest to rest of the sweeps' begins.
         let step = (gap + secs).max(1e-3);
-        let own = (
-            0.5 * self.config.acceleration * step * step,
-            0.5 * self.config.turn_acceleration * step * step,
-        );
+        let usual = 0.5 * step * step;
+        // Without times any distance may lie between two scans.
+        let usual = if begin_at.is_some() { usual } else { 10.0 * usual };
+        let own = (self.config.acceleration * usual, self.config.turn_acceleration * usual);
         let expected = (
             (2.0 * last.innovation.0).clamp(0.1 * own.0, own.0.max(0.02)),
             (2.0 * last.innovation.1).clamp(0.1 * own.1, own.1.max(0.004)),
@@ -364,7 +364,11 @@ impl Tracker {
     fn see(&mut self, sampled: &Sampled, motion: &Motion) {
         let placer = motion.placer();
         let points = sampled.dense.par_iter().with_min_len(1024);
-        let points: Vec<DVec3> = points.map(|r| placer.place(r.point, r.share)).collect();
+        let seen = points.map(|r| Seen {
+            at: placer.place(r.point, r.share),
+            elevation: elevation_bit(r.point),
+        });
+        let points: Vec<Seen> = seen.collect();
         self.driven += motion.last().translation.distance(self.here);
         self.here = motion.last().translation;
         self.cells.add(&points, self.driven);
