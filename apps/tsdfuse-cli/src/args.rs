@@ -5,10 +5,10 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result};
 use clap::builder::RangedI64ValueParser;
-use glam::DVec3;
-use tsdfuse::MapConfig;
+use glam::{DQuat, DVec3};
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::scan::RangeLimits;
+use tsdfuse::{MapConfig, Pose};
 use tsdfuse_io::{
     DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M, OpenOptions, Selection,
 };
@@ -34,10 +34,14 @@ pub(crate) struct LogArgs {
     /// Fuse only these scans, counted from 0, TO excluded; every STEP-th of them [default: all].
     #[arg(long, value_name = "FROM..TO[:STEP]")]
     pub(crate) scans: Option<Selection>,
-    /// Where poses come from: a file (KITTI or TUM text), the log, or odometry [default: the log, or odometry if it has
-    /// none].
-    #[arg(long, value_name = "FILE|log|track")]
+    /// Where poses come from: a file (KITTI or TUM text), a topic or frame of a ROS bag, the log, or odometry [default:
+    /// the log, or odometry if it has none].
+    #[arg(long, value_name = "FILE|NAME|log|track")]
     pub(crate) poses: Option<PathBuf>,
+    /// Where the sensor sits on the body whose poses are used: a file with the 3x4 matrix, or x,y,z,qx,qy,qz,qw (metres, quaternion)
+    /// [default: as the log tells].
+    #[arg(long, value_name = "FILE|POSE", value_parser = parse_extrinsics, allow_hyphen_values = true)]
+    pub(crate) extrinsics: Option<Pose>,
     /// The sensor: one of several in the log (several with commas are fused together), or the model of the only one
     /// (pandar64, hdl64e, vlp16, ...).
     #[arg(long, value_name = "NAME", value_delimiter = ',')]
@@ -99,7 +103,7 @@ impl LogArgs {
                 poses: self.poses.clone().filter(|path| !is_word(path)),
                 sensors: self.sensor.clone(),
                 calibration: self.calibration.clone(),
-                ..OpenOptions::default()
+                extrinsics: self.extrinsics,
             },
             selection: self.scans.clone().unwrap_or_default(),
             skip_bad: self.skip_bad,
@@ -141,6 +145,21 @@ impl LogArgs {
 /// Whether it is a word of `--poses` and no file.
 fn is_word(path: &Path) -> bool {
     path == Path::new("log") || path == Path::new("track")
+}
+
+/// A pose: seven numbers with commas between them, or a file with a matrix.
+pub(crate) fn parse_extrinsics(text: &str) -> Result<Pose, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, z, qx, qy, qz, qw]) => {
+            Pose::new(DQuat::from_xyzw(qx, qy, qz, qw), DVec3::new(x, y, z)).map_err(|e| e.to_string())
+        }
+        Some(_) => Err("seven numbers are wanted: x,y,z in metres and a quaternion qx,qy,qz,qw".to_owned()),
+        None => match tsdfuse_io::poses::read_all(text).map_err(|e| e.to_string())?.as_slice() {
+            [pose] => Ok(*pose),
+            poses => Err(format!("{text}: one pose is wanted, and it has {}", poses.len())),
+        },
+    }
 }
 
 /// What `--hold-out` may be.
@@ -190,6 +209,18 @@ mod tests {
         assert_eq!(parse_triple("1, -2,3e5"), Ok(DVec3::new(1.0, -2.0, 3e5)));
         for bad in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
             assert!(parse_triple(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn extrinsics_are_seven_numbers_or_a_file() {
+        let pose = parse_extrinsics("0.5,0,-1.5, 0,0,0,2").unwrap();
+        assert_eq!(
+            (pose.translation, pose.rotation),
+            (DVec3::new(0.5, 0.0, -1.5), DQuat::IDENTITY)
+        );
+        for bad in ["1,2,3", "0,0,0,0,0,0,0", "no/such/file"] {
+            assert!(parse_extrinsics(bad).is_err(), "{bad}");
         }
     }
 

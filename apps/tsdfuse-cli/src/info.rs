@@ -17,6 +17,7 @@ const EXAMPLES: &str = "\
 Examples:
   tsdfuse info pandaset/002
   tsdfuse info kitti/sequences/00 --sample 200 --json
+  tsdfuse info drive.bag
   tsdfuse info street.tsdf";
 
 /// Describe a log (format, sensor, scans, points, extent), a saved map or a store.
@@ -28,6 +29,12 @@ pub(crate) struct Args {
     /// Read this many scans, spread evenly over the log.
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     sample: u32,
+    /// The sensor, or several with commas: a topic of a recording, or the model of the only one.
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    sensor: Vec<String>,
+    /// The poses to look at: a file, or a topic or frame of a recording.
+    #[arg(long, value_name = "FILE|TOPIC|FRAME")]
+    poses: Option<PathBuf>,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -49,7 +56,12 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         }
         return Ok(Outcome::Complete);
     }
-    let info = LogInfo::read(&args.path, args.sample as usize)?;
+    let options = tsdfuse_io::OpenOptions {
+        poses: args.poses.clone(),
+        sensors: args.sensor.clone(),
+        ..tsdfuse_io::OpenOptions::default()
+    };
+    let info = LogInfo::read(&args.path, &options, args.sample as usize)?;
     if args.json {
         print_json(&info)?;
     } else {

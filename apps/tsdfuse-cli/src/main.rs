@@ -2,6 +2,7 @@
 
 mod args;
 mod bench;
+mod convert;
 mod eval;
 mod evaluate;
 mod exit;
@@ -42,6 +43,7 @@ enum Command {
     Render(Box<render::Args>),
     Simulate(simulate::Args),
     Info(info::Args),
+    Convert(convert::Args),
     Eval(eval::Args),
     Odometry(odometry::Args),
     Poses(poses::Args),
@@ -65,6 +67,7 @@ fn main() -> ExitCode {
         Command::Render(args) => render::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
+        Command::Convert(args) => convert::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Odometry(args) => odometry::run(args),
         Command::Poses(args) => poses::run(args),

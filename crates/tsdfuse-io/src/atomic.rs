@@ -52,6 +52,51 @@ fn not_written(path: &Path) -> impl FnOnce(io::Error) -> Error {
     }
 }
 
+/// A file that is written here and there, and appears under its name when it is complete; removed unless it is.
+#[derive(Debug)]
+pub(crate) struct AtomicFile {
+    file: BufWriter<File>,
+    temporary: Temporary,
+    path: PathBuf,
+}
+
+impl AtomicFile {
+    pub(crate) fn create(path: &Path) -> Result<Self> {
+        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        if target.file_name().is_none() || target.is_dir() {
+            return Err(Error::dataset(path, "is a folder, not a file to write"));
+        }
+        let (temporary, file) = Temporary::create(&target).map_err(Error::io(path))?;
+        Ok(Self {
+            file: BufWriter::with_capacity(1 << 20, file),
+            temporary,
+            path: target,
+        })
+    }
+
+    /// Gives the file its name.
+    pub(crate) fn commit(mut self) -> Result<()> {
+        self.file.flush().map_err(not_written(&self.path))?;
+        self.temporary.rename(&self.path).map_err(not_written(&self.path))
+    }
+}
+
+impl Write for AtomicFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl io::Seek for AtomicFile {
+    fn seek(&mut self, to: io::SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
 /// A file that is removed unless it is renamed.
 #[derive(Debug)]
 pub(crate) struct Temporary(PathBuf);

@@ -7,7 +7,7 @@ use crate::pandaset::{cameras, frames};
 use crate::pickle::DataFrame;
 use crate::rgbd::image::{self, ImageSize};
 use crate::rgbd::{camera, seven_scenes, tum};
-use crate::{bin, calib, cloud, files, folder, glb, kitti_raw, map_file, obj, pcd, ply, poses, times};
+use crate::{bin, calib, cloud, files, folder, glb, kitti_raw, map_file, obj, pcd, ply, poses, ros, times};
 
 const PATH: &str = "input";
 
@@ -221,6 +221,21 @@ pub fn rgbd(bytes: &[u8]) {
     let _ = tum::parse_list(Path::new(PATH), bytes);
 }
 
+/// An MCAP file.
+pub fn mcap(bytes: &[u8]) {
+    ros::fuzzing::mcap(bytes);
+}
+
+/// A ROS 1 bag.
+pub fn bag1(bytes: &[u8]) {
+    ros::fuzzing::bag1(bytes);
+}
+
+/// A ROS message.
+pub fn message(bytes: &[u8]) {
+    ros::fuzzing::message(bytes);
+}
+
 /// The JSON files of PandaSet.
 pub fn pandaset(bytes: &[u8]) {
     let _ = frames::parse_poses(Path::new(PATH), bytes);
@@ -264,6 +279,31 @@ mod tests {
         fn any_packed_blocks_and_columns_are_bearable(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
             packed(&bytes);
             columns(&bytes);
+        }
+
+        #[test]
+        fn any_message_is_bearable(bytes in prop::collection::vec(prop_oneof![Just(0u8), Just(1), any::<u8>()], 0..300)) {
+            message(&bytes);
+            let definition = "float32 x\nfloat32[] y\nany/Any[2] z\nstring[<=4] s\nany/Any[] points\0";
+            message(&[definition.as_bytes(), &bytes].concat());
+            message(&[b"float32 x\nfloat32 y\nfloat32 z\nuint16 ring\0", &bytes[..]].concat());
+            mcap(&[ros::MAGIC_MCAP, &bytes].concat());
+            bag1(&[b"#ROSBAG V2.0\n", &bytes[..]].concat());
+        }
+
+        #[test]
+        fn damaged_recordings_are_bearable(
+            which in 0..4usize,
+            damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        ) {
+            let name = ["zstd.mcap", "lz4.mcap", "ros1_lz4.bag", "ros1_bz2.bag"][which];
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/ros").join(name);
+            let mut bytes = std::fs::read(path).unwrap();
+            for (at, value) in damage {
+                let at = at.index(bytes.len());
+                bytes[at] = value;
+            }
+            if which < 2 { mcap(&bytes) } else { bag1(&bytes) }
         }
 
         #[test]

@@ -34,6 +34,7 @@ pub mod poses;
 mod present;
 pub mod read_ahead;
 pub mod rgbd;
+pub mod ros;
 mod scalar;
 mod selection;
 pub mod source;
@@ -50,7 +51,9 @@ pub use error::{Error, Result};
 pub use log::{Log, open, open_with};
 pub use read_ahead::{ReadAhead, ReadScan, Scans};
 pub use selection::Selection;
-pub use source::{ImageRef, ImuSample, News, OpenOptions, ScanRef, Sensor, Source, Stream, StreamedScan};
+pub use source::{
+    GnssFix, ImageRef, ImuSample, News, OpenOptions, Recorded, ScanRef, Sensor, Source, Stream, StreamedScan, Topic,
+};
 pub use suggested::{
     DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_METHOD, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M, Suggested,
 };

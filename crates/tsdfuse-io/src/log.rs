@@ -9,7 +9,9 @@ use crate::error::{Error, Result};
 use crate::pandaset::PandaSet;
 use crate::read_ahead::{Live, ReadAhead, Scans};
 use crate::selection::Selection;
-use crate::source::{ImageRef, ImuSample, OpenOptions, ScanRef, Sensor, Source, Stream, read_checked};
+use crate::source::{
+    GnssFix, ImageRef, ImuSample, OpenOptions, Recorded, ScanRef, Sensor, Source, Stream, read_checked,
+};
 use crate::suggested::Suggested;
 use crate::together::Together;
 
@@ -44,6 +46,10 @@ const FORMATS: &[Format] = &[
     Format {
         recognises: crate::osf::recognises,
         open: |path, options| crate::osf::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::ros::recognises,
+        open: |path, options| crate::ros::open(path, options).map(Log::new),
     },
     Format {
         recognises: crate::rgbd::recognises,
@@ -85,12 +91,12 @@ pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
         Some(format) => (format.open)(path, options),
         None if !is_folder => Err(Error::dataset(
             path,
-            "is no capture of a LiDAR's packets (PCAP, pcapng) and no OSF; other data sets are folders",
+            "is no ROS bag, no MCAP file, no capture of a LiDAR's packets (PCAP, pcapng) and no OSF; other data sets are folders",
         )),
         None => Err(Error::dataset(
             path,
             "holds no scans that are read here: no lidar/*.pkl.gz (PandaSet), velodyne/*.bin (KITTI, plain), \
-             velodyne_points/ (KITTI raw), *.depth.png (7-Scenes), depth/*.png (TUM RGB-D), *.pcd or *.ply",
+             velodyne_points/ (KITTI raw), *.depth.png (7-Scenes), depth/*.png (TUM RGB-D), *.bag, *.mcap, *.db3, *.pcd or *.ply",
         )),
     }
 }
@@ -190,6 +196,19 @@ impl Log {
     /// Names the file and the reason.
     pub fn imu(&self) -> Result<Vec<ImuSample>> {
         self.source().map_or(Ok(Vec::new()), Source::imu)
+    }
+
+    /// The places of a GNSS receiver, in order of time; empty where there is none.
+    ///
+    /// # Errors
+    /// Names the file and the reason.
+    pub fn gnss(&self) -> Result<Vec<GnssFix>> {
+        self.source().map_or(Ok(Vec::new()), Source::gnss)
+    }
+
+    /// What a recording of messages holds, and what was concluded from it; `None` for other logs.
+    pub fn recorded(&self) -> Option<&Recorded> {
+        self.source().and_then(Source::recorded)
     }
 
     /// The images of all cameras, ordered by camera and time.

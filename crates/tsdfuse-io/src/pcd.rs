@@ -13,10 +13,12 @@ use crate::error::{Error, Result};
 
 mod header;
 mod lzf;
+mod write;
 
 use header::Encoding;
 pub(crate) use header::Header;
 use lzf::Decompress;
+pub(crate) use write::write;
 
 /// The most compressed points that are read: 64 times what the largest sensors measure in one sweep. Compressed, a few megabytes
 /// can stand for billions of points; uncompressed, the file is as large as its points.

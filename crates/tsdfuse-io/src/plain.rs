@@ -24,7 +24,7 @@ use crate::source::OpenOptions;
 
 mod writer;
 
-pub use writer::Writer;
+pub use writer::{Layout, Writer};
 
 /// Whether there are scans in `velodyne/`.
 pub(crate) fn recognises(path: &Path) -> bool {

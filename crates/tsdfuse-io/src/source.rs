@@ -17,7 +17,8 @@ use crate::error::{Error, Result};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct OpenOptions {
-    /// Poses to use instead of those in the log (TUM or KITTI text).
+    /// Poses to use instead of those in the log: a file (TUM or KITTI text), or in recordings of messages the topic or the frame
+    /// whose poses are used.
     pub poses: Option<PathBuf>,
     /// Which sensors of the log to read, by name; empty: the format's default, usually all or the main one. Where a log has one
     /// sensor that it does not name, this is the name of the sensor's model.
@@ -89,6 +90,49 @@ pub struct ImageRef {
     pub path: Option<PathBuf>,
 }
 
+/// Where a GNSS receiver was (WGS 84).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct GnssFix {
+    /// Nanoseconds since the log's epoch.
+    pub time_ns: i64,
+    /// Latitude, degrees, north positive.
+    pub latitude_deg: f64,
+    /// Longitude, degrees, east positive.
+    pub longitude_deg: f64,
+    /// Height above the ellipsoid, metres.
+    pub altitude_m: f64,
+}
+
+/// Messages under one name in a recording.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Topic {
+    /// What the recording calls it.
+    pub name: String,
+    /// The type of its messages, `sensor_msgs/PointCloud2`.
+    pub kind: String,
+    /// How many there are.
+    pub messages: usize,
+    /// The rate of most steps.
+    pub rate_hz: Option<f64>,
+    /// The longest time from one message to the next.
+    pub longest_gap_secs: Option<f64>,
+    /// From the first message to the last.
+    pub span_secs: Option<f64>,
+    /// How much later messages were recorded than they are stamped; far from zero if clocks differ.
+    pub delay_secs: Option<f64>,
+    /// Whether its points are read.
+    pub is_read: bool,
+}
+
+/// What a recording of messages holds, and what was concluded from it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Recorded {
+    /// All topics.
+    pub topics: Vec<Topic>,
+    /// Of what, and what was concluded: what fields and times mean, which poses are used, and why.
+    pub conclusions: Vec<(String, String)>,
+}
+
 /// A log whose scans can be read in any order, any number of times.
 pub trait Source: Send + Sync {
     /// The format's name for people: `PandaSet`, `KITTI odometry`, …
@@ -117,6 +161,19 @@ pub trait Source: Send + Sync {
     /// Names the file and the reason.
     fn imu(&self) -> Result<Vec<ImuSample>> {
         Ok(Vec::new())
+    }
+
+    /// The places of a GNSS receiver, in order of time; empty where there is none.
+    ///
+    /// # Errors
+    /// Names the file and the reason.
+    fn gnss(&self) -> Result<Vec<GnssFix>> {
+        Ok(Vec::new())
+    }
+
+    /// What a recording of messages holds; `None` for other logs.
+    fn recorded(&self) -> Option<&Recorded> {
+        None
     }
 
     /// The images of all cameras, ordered by camera and time.

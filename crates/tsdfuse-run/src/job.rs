@@ -54,6 +54,9 @@ impl Input {
     fn checked(&self, log: Log, observer: &mut dyn Observer) -> Result<Log> {
         log.notes().iter().for_each(|note| observer.on(Event::Note(note)));
         let Some(scans) = log.len() else { return Ok(log) };
+        if scans == 0 {
+            return Err(RunError::Nothing(format!("{}: holds no scans", self.path.display())));
+        }
         let Selection { from, to, .. } = self.selection;
         if from >= scans {
             return Err(RunError::config(format_args!(
@@ -149,7 +152,10 @@ impl Job {
             &mut outputs.preview,
             &mut outputs.report,
         ];
-        let others = [&mut job.input.options.poses, &mut job.store, &mut job.load_map];
+        // Of a recording, this may be the name of a topic or a frame.
+        let poses = job.input.options.poses.iter_mut().filter(|path| path.exists());
+        poses.into_iter().try_for_each(absolute)?;
+        let others = [&mut job.store, &mut job.load_map];
         files.into_iter().chain(others).flatten().try_for_each(absolute)?;
         Ok(job)
     }

@@ -273,6 +273,23 @@ impl Scan {
         Ok(placed.map(|(pose, point)| pose.transform_point(point.as_dvec3())))
     }
 
+    /// Moves each point to where the sensor would have seen it from `pose`, and forgets times and motion. A point whose time is not
+    /// known becomes NaN where the sensor moved.
+    pub fn undistort(&mut self) {
+        if let (Some(sweep), Some(times)) = (self.sweep(), &self.times) {
+            let scan_from_world = self.pose.unwrap_or_default().inverse();
+            for (point, secs) in self.points.iter_mut().zip(times) {
+                let seen = scan_from_world * sweep.at(f64::from(*secs));
+                *point = if secs.is_finite() {
+                    seen.transform_point(point.as_dvec3()).as_vec3()
+                } else {
+                    Vec3::NAN
+                };
+            }
+        }
+        (self.times, self.motion) = (None, Vec::new());
+    }
+
     /// The sensor's motion as a function of seconds after `pose`; `None` where all returns are placed from `pose`, and where
     /// that is missing.
     pub fn sweep(&self) -> Option<Sweep> {

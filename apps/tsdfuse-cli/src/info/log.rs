@@ -9,7 +9,7 @@ use serde::Serialize;
 use tsdfuse::scan::{Dropped, RangeLimits};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Scan, SensorModel};
-use tsdfuse_io::{Log, ScanRef};
+use tsdfuse_io::{Log, OpenOptions, Recorded, ScanRef, Topic};
 use tsdfuse_run::report::counted;
 
 use super::rows::{Rows, extent_line};
@@ -41,6 +41,11 @@ pub(super) struct LogInfo {
     trajectory_poses: Option<usize>,
     imu_samples: usize,
     images: usize,
+    /// Places of a GNSS receiver.
+    gnss_fixes: usize,
+    /// Topics of a recording, and what was concluded from it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    recorded: Option<Recorded>,
     /// What is missing or odd.
     notes: Vec<String>,
 }
@@ -79,8 +84,8 @@ struct Points {
 
 impl LogInfo {
     /// Reads up to `sample` scans of a log, spread evenly.
-    pub(super) fn read(path: &Path, sample: usize) -> Result<Self> {
-        let log = tsdfuse_io::open(path)?;
+    pub(super) fn read(path: &Path, options: &OpenOptions, sample: usize) -> Result<Self> {
+        let log = tsdfuse_io::open_with(path, options)?;
         let first = log.sensors().first();
         let mut info = Self {
             path: path.to_owned(),
@@ -97,6 +102,8 @@ impl LogInfo {
             trajectory_poses: log.trajectory().map(|trajectory| trajectory.poses().len()),
             imu_samples: log.imu()?.len(),
             images: log.images().len(),
+            gnss_fixes: log.gnss()?.len(),
+            recorded: log.recorded().cloned(),
             notes: log.notes().to_vec(),
         };
         info.sample(&log, sample)?;
@@ -111,6 +118,9 @@ impl LogInfo {
     fn sample(&mut self, log: &Log, count: usize) -> Result<()> {
         let scans = log.scans().len();
         let count = count.min(scans);
+        if count == 0 {
+            return Ok(());
+        }
         let indices: Vec<_> = (0..count).map(|i| i * scans / count).collect();
         let bar = progress::scans("reading", Some(count));
         for read in log.read_indices(indices) {
@@ -249,9 +259,19 @@ pub(super) fn table(info: &LogInfo) -> String {
     if let Some(poses) = info.trajectory_poses {
         rows.add("trajectory", format!("{} poses", HumanCount(poses as u64)));
     }
-    for (name, count) in [("IMU", info.imu_samples), ("images", info.images)] {
+    for (name, count) in [
+        ("IMU samples", info.imu_samples),
+        ("images", info.images),
+        ("GNSS fixes", info.gnss_fixes),
+    ] {
         if count > 0 {
             rows.add(name, HumanCount(count as u64));
+        }
+    }
+    if let Some(Recorded { topics, conclusions }) = &info.recorded {
+        topics.iter().for_each(|topic| rows.add("topic", topic_line(topic)));
+        for (subject, text) in conclusions {
+            rows.add(subject, text);
         }
     }
     info.notes.iter().for_each(|note| rows.add("note", note));
@@ -289,6 +309,23 @@ fn sensor_line(info: &LogInfo) -> String {
         sensor.min_range_m,
         sensor.max_range_m
     )
+}
+
+fn topic_line(topic: &Topic) -> String {
+    let Topic {
+        name, kind, messages, ..
+    } = topic;
+    let mut line = format!("{name} ({kind}), {} messages", HumanCount(*messages as u64));
+    if let Some(rate) = topic.rate_hz {
+        line += &format!(", {rate:.1} Hz");
+        if let Some(gap) = topic.longest_gap_secs.filter(|gap| gap * rate > 2.5) {
+            line += &format!(", a gap of {gap:.2} s");
+        }
+    }
+    if let Some(delay) = topic.delay_secs.filter(|delay| delay.abs() > 1.0) {
+        line += &format!(", its clock is {delay:.3} s behind the recorder's");
+    }
+    line + if topic.is_read { ", read" } else { "" }
 }
 
 fn scans_line(info: &LogInfo) -> String {

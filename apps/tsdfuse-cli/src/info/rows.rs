@@ -18,7 +18,7 @@ pub(super) struct Rows(String);
 
 impl Rows {
     pub(super) fn add(&mut self, name: &str, value: impl Display) {
-        self.0 += &format!("{name:<12}{value}\n");
+        self.0 += &format!("{name:<11} {value}\n");
     }
 
     pub(super) fn finish(self) -> String {

@@ -20,6 +20,7 @@ fn help_texts_are_as_agreed() {
         ("render", &["render", "--help"]),
         ("simulate", &["simulate", "--help"]),
         ("info", &["info", "--help"]),
+        ("convert", &["convert", "--help"]),
         ("eval", &["eval", "--help"]),
         ("poses", &["poses", "--help"]),
         ("poses_compare", &["poses", "compare", "--help"]),

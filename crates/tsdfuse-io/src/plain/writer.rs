@@ -8,15 +8,29 @@ use tsdfuse::{Pose, Scan, SensorModel};
 
 use crate::error::{Error, Result};
 
-/// Writes scans as a plain folder, one after another; see the [module](super) for the files.
+/// How the scans of a folder lie in it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Layout {
+    /// `velodyne/*.bin`, `rings/`, `times/` and `motion.txt`.
+    #[default]
+    Plain,
+    /// `*.pcd` with rings and times, and `motion.txt`.
+    Pcd,
+    /// As KITTI odometry: `velodyne/*.bin` and poses. Rings, times and motion are left out, so scans should be undistorted.
+    Kitti,
+}
+
+/// Writes scans as a folder, one after another; see the [module](super) for the files.
 ///
 /// Points, rings, times and intensities come back bit for bit, poses up to rounding (1e-15). A scan without intensities
 /// gets zeros.
 #[derive(Debug)]
 pub struct Writer {
     folder: PathBuf,
+    layout: Layout,
     scans: usize,
-    poses: BufWriter<File>,
+    /// `poses.txt`; `None` if the scans have no poses.
+    poses: Option<BufWriter<File>>,
     /// `times.txt`; `None` if the scans have no times.
     secs: Option<BufWriter<File>>,
     motion: String,
@@ -29,6 +43,14 @@ impl Writer {
     /// # Errors
     /// Names the folder and what the system, or the folder's content, has against it.
     pub fn create(folder: impl AsRef<Path>) -> Result<Self> {
+        Self::create_as(folder, Layout::Plain)
+    }
+
+    /// As [`Self::create`], in another layout.
+    ///
+    /// # Errors
+    /// As [`Self::create`].
+    pub fn create_as(folder: impl AsRef<Path>, layout: Layout) -> Result<Self> {
         let folder = folder.as_ref();
         // What is left of another data set would be read as part of this one.
         const OURS: [&str; 9] = [
@@ -48,12 +70,28 @@ impl Writer {
                 "exists already; scans are written into a new folder",
             ));
         }
-        let scans = folder.join("velodyne");
+        let scans = if layout == Layout::Pcd {
+            folder.to_owned()
+        } else {
+            folder.join("velodyne")
+        };
         fs::create_dir_all(&scans).map_err(Error::io(&scans))?;
+        if layout == Layout::Pcd && !crate::files::list(folder, "pcd")?.is_empty() {
+            return Err(Error::dataset(
+                folder,
+                "holds PCD files already; scans are written into a new folder",
+            ));
+        }
+        if layout == Layout::Kitti {
+            let path = folder.join("calib.txt");
+            // The poses are the scanner's own.
+            fs::write(&path, "Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n").map_err(Error::io(&path))?;
+        }
         Ok(Self {
             folder: folder.to_owned(),
+            layout,
             scans: 0,
-            poses: create(&folder.join("poses.txt"))?,
+            poses: None,
             secs: None,
             motion: String::new(),
             any_motion: false,
@@ -70,12 +108,30 @@ impl Writer {
         fs::write(&path, text).map_err(Error::io(&path))
     }
 
-    /// Writes the next scan. Either all scans have a time or none.
+    /// Writes the next scan. Either all scans have a time or none, and the same holds for poses.
     ///
     /// # Errors
     /// Names the file and what the system says, or the scan and what is wrong with it.
     pub fn write_scan(&mut self, scan: &Scan) -> Result<()> {
         scan.check().map_err(|e| Error::dataset(&self.folder, e.to_string()))?;
+        if self.layout == Layout::Pcd {
+            let path = self.folder.join(format!("{:06}.pcd", self.scans));
+            crate::pcd::write(&path, scan)?;
+        } else {
+            self.columns(scan)?;
+        }
+        self.write_time(scan)?;
+        self.write_pose(scan)?;
+        let motion = scan.motion.iter().map(|m| format!("{} {}", m.secs, numbers(&m.pose)));
+        let motion = motion.collect::<Vec<_>>().join(" ");
+        self.motion += if motion.is_empty() { "-" } else { &motion };
+        self.motion += "\n";
+        self.any_motion |= !scan.motion.is_empty() && self.layout != Layout::Kitti;
+        self.scans += 1;
+        Ok(())
+    }
+
+    fn columns(&self, scan: &Scan) -> Result<()> {
         let intensities = scan.intensities.iter().flatten().copied().chain(std::iter::repeat(0.0));
         let points = scan.points.iter().zip(intensities);
         self.column(
@@ -83,24 +139,15 @@ impl Writer {
             "bin",
             points.flat_map(|(p, i)| [p.x, p.y, p.z, i].map(f32::to_le_bytes)),
         )?;
+        if self.layout == Layout::Kitti {
+            return Ok(());
+        }
         if let Some(rings) = &scan.rings {
             self.column("rings", "u16", rings.iter().map(|r| r.to_le_bytes()))?;
         }
         if let Some(times) = &scan.times {
             self.column("times", "f32", times.iter().map(|t| t.to_le_bytes()))?;
         }
-        self.write_time(scan)?;
-        let path = self.folder.join("poses.txt");
-        let pose = scan
-            .world_from_sensor()
-            .map_err(|e| Error::dataset(&self.folder, e.to_string()))?;
-        writeln!(self.poses, "{}", numbers(&pose)).map_err(Error::io(path))?;
-        let motion = scan.motion.iter().map(|m| format!("{} {}", m.secs, numbers(&m.pose)));
-        let motion = motion.collect::<Vec<_>>().join(" ");
-        self.motion += if motion.is_empty() { "-" } else { &motion };
-        self.motion += "\n";
-        self.any_motion |= !scan.motion.is_empty();
-        self.scans += 1;
         Ok(())
     }
 
@@ -109,7 +156,9 @@ impl Writer {
     /// # Errors
     /// Names the file and what the system says.
     pub fn finish(mut self) -> Result<()> {
-        self.poses.flush().map_err(Error::io(self.folder.join("poses.txt")))?;
+        if let Some(poses) = &mut self.poses {
+            poses.flush().map_err(Error::io(self.folder.join("poses.txt")))?;
+        }
         if let Some(secs) = &mut self.secs {
             secs.flush().map_err(Error::io(self.folder.join("times.txt")))?;
         }
@@ -126,6 +175,21 @@ impl Writer {
         let path = folder.join(format!("{:06}.{extension}", self.scans));
         let bytes: Vec<u8> = values.flatten().collect();
         fs::write(&path, bytes).map_err(Error::io(&path))
+    }
+
+    fn write_pose(&mut self, scan: &Scan) -> Result<()> {
+        let path = self.folder.join("poses.txt");
+        if self.scans == 0 && scan.pose.is_some() {
+            self.poses = Some(create(&path)?);
+        }
+        match (&mut self.poses, scan.pose) {
+            (None, None) => Ok(()),
+            (Some(file), Some(pose)) => writeln!(file, "{}", numbers(&pose)).map_err(Error::io(path)),
+            _ => {
+                let reason = format!("either all scans have a pose or none, but not {}", scan.name);
+                Err(Error::dataset(&self.folder, reason))
+            }
+        }
     }
 
     fn write_time(&mut self, scan: &Scan) -> Result<()> {

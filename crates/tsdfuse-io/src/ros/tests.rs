@@ -1,0 +1,293 @@
+//! Recordings that `rosbags` and `mcap` wrote (`testdata/ros/make.py`), and what hostile ones do.
+
+use std::path::{Path, PathBuf};
+
+use tsdfuse::glam::{DVec3, Vec3};
+use tsdfuse::trajectory::secs_between;
+use tsdfuse::{Pose, Scan};
+
+use crate::source::{OpenOptions, Source};
+use crate::{Log, open, open_with};
+
+const T0: i64 = 1_600_000_000_000_000_000;
+
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/ros").join(name)
+}
+
+fn names() -> Vec<&'static str> {
+    let mut names = vec!["ros1_lz4.bag", "ros1_bz2.bag", "ros2_message", "zstd.mcap", "lz4.mcap"];
+    if cfg!(feature = "db3") {
+        names.push("ros2_file");
+    }
+    names
+}
+
+fn only(path: &Path, sensor: &str) -> Log {
+    let options = OpenOptions {
+        sensors: vec![sensor.to_owned()],
+        ..OpenOptions::default()
+    };
+    open_with(path, &options).unwrap()
+}
+
+fn has_note(log: &Log, part: &str) -> bool {
+    log.notes().iter().any(|note| note.contains(part))
+}
+
+#[test]
+fn all_containers_hold_the_same_scans() {
+    for name in names() {
+        let log = only(&data(name), "/points");
+        assert_eq!(log.len(), Some(10), "{name}");
+        for k in [0, 4, 9] {
+            let scan = log.read(k).unwrap();
+            assert_eq!(scan.time_ns, Some(T0 + k as i64 * 100_000_000), "{name}");
+            assert_eq!(scan.points.len(), 80);
+            assert_eq!((scan.points[0].x, scan.points[0].y), (5.0 + k as f32, 1.0));
+            // Ring 0 is the highest in the message.
+            assert_eq!(scan.rings.as_ref().unwrap()[..9], [7, 6, 5, 4, 3, 2, 1, 0, 7]);
+            let times = scan.times.as_ref().unwrap();
+            assert!(times[0] == 0.0 && (times[79] - 0.09875).abs() < 1e-7);
+            let pose = scan.pose.unwrap();
+            assert!(
+                pose.translation.distance(DVec3::new(0.1 * k as f64 + 0.5, 0.0, 2.0)) < 1e-9,
+                "{name}"
+            );
+            // Each point from where the sensor was then: 1 m/s.
+            let last = scan.points_in_world().unwrap().last().unwrap();
+            let want = pose.translation.x + 0.09875 + f64::from(scan.points[79].x);
+            assert!((last.x - want).abs() < 1e-6, "{name}: {last}");
+        }
+        assert_eq!(log.trajectory().unwrap().poses().len(), 24);
+        let imu = log.imu().unwrap();
+        // 1 at rest: in g.
+        assert!((imu[0].acceleration.z - 9.80665).abs() < 1e-9 && imu.len() == 24 && imu[0].orientation.is_none());
+        assert_eq!(log.gnss().unwrap()[2].latitude_deg, 50.5);
+        assert_eq!(log.images().len(), 3, "{name}: {:?}", log.notes());
+        let image = &log.images()[1];
+        assert!((image.pose.unwrap().translation.x - 0.4).abs() < 1e-9 && image.camera.fx == 100.0);
+        assert!(log.read_image(1).unwrap().starts_with(b"\x89PNG"));
+    }
+}
+
+#[test]
+fn livox_and_another_sensor_are_read_together_or_chosen() {
+    let log = open(data("zstd.mcap")).unwrap();
+    assert_eq!((log.len(), log.sensors().len()), (Some(20), 2));
+    assert!(has_note(&log, "are read together"));
+    let livox = only(&data("zstd.mcap"), "livox");
+    let scan = livox.read(3).unwrap();
+    assert_eq!(scan.points[..2], [Vec3::new(3.0, 0.0, 0.5), Vec3::new(3.0, 1.0, 0.5)]);
+    assert_eq!((scan.rings, scan.intensities.unwrap()[95]), (None, 95.0));
+    assert!((scan.times.unwrap()[95] - 0.095).abs() < 1e-7);
+    assert_eq!(
+        livox.sensors()[0].body_from_sensor.translation,
+        DVec3::new(1.0, 0.0, 1.0)
+    );
+    let wrong = OpenOptions {
+        sensors: vec!["/other".into()],
+        ..OpenOptions::default()
+    };
+    let told = open_with(data("zstd.mcap"), &wrong).unwrap_err().to_string();
+    assert!(
+        told.ends_with("there is no sensor \"/other\"; the topics with points are /livox/lidar, /points"),
+        "{told}"
+    );
+}
+
+#[test]
+fn poses_are_chosen_by_topic_frame_and_file() {
+    let with = |poses: &str| {
+        let options = OpenOptions {
+            poses: Some(poses.into()),
+            sensors: vec!["/points".into()],
+            ..OpenOptions::default()
+        };
+        open_with(data("zstd.mcap"), &options).map_err(|e| e.to_string())
+    };
+    let x = |log: &Log| log.scans()[5].pose.unwrap().translation.x;
+    assert!((x(&with("odom").unwrap()) - 1.0).abs() < 1e-9);
+    // Odometry says twice as far.
+    assert!((x(&with("/odom").unwrap()) - 1.5).abs() < 1e-9);
+    let told = with("map").unwrap_err();
+    assert!(
+        told.contains("map is neither a file nor a topic or frame with poses of the sensor: there are odom, /odom"),
+        "{told}"
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("poses.tum");
+    let lines: Vec<_> = (2..8)
+        .map(|k| format!("{}.{}00000000 {k} 0 0 0 0 0 1", T0 / 1_000_000_000, k))
+        .collect();
+    std::fs::write(&file, lines.join("\n")).unwrap();
+    let log = with(file.to_str().unwrap()).unwrap();
+    assert_eq!((log.len(), log.scans()[0].pose.unwrap().translation.x), (Some(6), 2.0));
+    assert!(has_note(&log, "4 of 10 scans are left out"));
+    std::fs::write(&file, "1.0 0 0 0 0 0 0 1").unwrap();
+    let told = with(file.to_str().unwrap()).unwrap_err();
+    assert!(told.contains("cover no scan"), "{told}");
+}
+
+#[test]
+fn what_is_written_is_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("out.mcap");
+    let log = open(data("lz4.mcap")).unwrap();
+    let mut writer = super::Writer::create(&path, log.sensors()).unwrap();
+    let write = |writer: &mut super::Writer, k: usize| writer.write_scan(log.scans()[k].sensor, &log.read(k).unwrap());
+    (0..20).for_each(|k| write(&mut writer, k).unwrap());
+    assert!(!path.exists());
+    writer.finish().unwrap();
+    for topic in ["/points", "/livox/lidar"] {
+        let (before, after) = (only(&data("lz4.mcap"), topic), only(&path, topic));
+        assert_eq!(after.len(), Some(10), "{:?}", after.notes());
+        for k in 0..10 {
+            let (a, b) = (before.read(k).unwrap(), after.read(k).unwrap());
+            assert_eq!(
+                (&a.points, &a.rings, &a.intensities),
+                (&b.points, &b.rings, &b.intensities)
+            );
+            assert_eq!(a.times, b.times);
+            for (p, q) in a.points_in_world().unwrap().zip(b.points_in_world().unwrap()) {
+                assert!(p.distance(q) < 1e-6, "{topic} {k}: {p} {q}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_recording_that_was_cut_off_is_read_as_far_as_it_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["lz4.mcap", "ros1_lz4.bag"] {
+        let bytes = std::fs::read(data(name)).unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, &bytes[..bytes.len() * 2 / 3]).unwrap();
+        // A bag that was not closed has no place of its index.
+        let mut cut = bytes[..bytes.len() * 2 / 3].to_vec();
+        if name.ends_with(".bag") {
+            let at = cut.windows(10).position(|w| w == b"index_pos=").unwrap() + 10;
+            cut[at..at + 8].fill(0);
+        }
+        std::fs::write(&path, &cut).unwrap();
+        let log = only(&path, "/points");
+        let scans = log.len().unwrap();
+        assert!((1..10).contains(&scans), "{name}: {scans}");
+        assert!(has_note(&log, "was not closed"), "{:?}", log.notes());
+        log.read(scans - 1).unwrap();
+    }
+}
+
+/// Opens and reads whatever is there; must neither panic nor take long.
+fn bear(path: &Path) -> Option<String> {
+    match open(path) {
+        Ok(log) => {
+            let read = |k| log.read(k).err().map(|e| e.to_string());
+            let told = (0..log.len().unwrap_or_default()).find_map(read);
+            let _ = (log.imu(), log.gnss(), log.read_image(0));
+            told
+        }
+        Err(error) => Some(error.to_string()),
+    }
+}
+
+#[test]
+fn damaged_recordings_are_told_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["zstd.mcap", "lz4.mcap", "ros1_lz4.bag", "ros1_bz2.bag"] {
+        let bytes = std::fs::read(data(name)).unwrap();
+        let path = folder.path().join(name);
+        let mut told = 0;
+        for k in 0..60 {
+            let mut bad = bytes.clone();
+            if k % 3 == 0 {
+                bad.truncate(bytes.len() * k / 60);
+            } else {
+                let at = (k * 7919 + 13) * 104_729 % bytes.len();
+                let end = (at + 1 + k % 8).min(bytes.len());
+                bad[at..end].fill([0, 0xff, 0x7f][k % 3]);
+            }
+            std::fs::write(&path, &bad).unwrap();
+            if let Some(message) = bear(&path) {
+                told += 1;
+                assert!(!message.contains('\n') && !message.is_empty(), "{message}");
+            }
+        }
+        assert!(told > 5, "{name}: {told}");
+    }
+}
+
+#[cfg(feature = "db3")]
+#[test]
+fn a_file_that_unpacks_without_end_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.db3.zstd");
+    // A frame whose blocks repeat one byte 128 kB each.
+    let mut bomb = vec![0x28, 0xb5, 0x2f, 0xfd, 0x00, 0x58];
+    for _ in 0..2000 {
+        bomb.extend([0x02, 0x00, 0x10, 0x41]);
+    }
+    std::fs::write(&path, &bomb).unwrap();
+    let told = open(&path).unwrap_err().to_string();
+    assert!(told.ends_with("bytes, which is not believed"), "{told}");
+    std::fs::write(&path, b"SQLite format 3\0 and then nothing").unwrap();
+    let told = open(&path).unwrap_err().to_string();
+    assert!(told.contains("is no SQLite bag of ROS 2, or damaged"), "{told}");
+}
+
+#[test]
+fn what_is_no_scan_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("empty.mcap");
+    super::Writer::create(&path, &[]).unwrap().finish().unwrap();
+    let log = open(&path).unwrap();
+    assert!(log.is_empty() && has_note(&log, "holds no scans"), "{:?}", log.notes());
+}
+
+/// Time that goes back is put in order.
+#[test]
+fn scans_are_in_order_of_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("back.mcap");
+    let mut writer = super::Writer::create(&path, &[crate::Sensor::new("lidar")]).unwrap();
+    for k in [0, 1, 4, 3, 2, 5, 6, 7] {
+        let scan = Scan {
+            time_ns: Some(T0 + k * 100_000_000),
+            points: vec![Vec3::new(k as f32 + 1.0, 0.0, 0.0); 3],
+            pose: Some(Pose {
+                translation: DVec3::X * k as f64,
+                ..Pose::IDENTITY
+            }),
+            ..Scan::default()
+        };
+        writer.write_scan(0, &scan).unwrap();
+    }
+    writer.finish().unwrap();
+    let log = open(&path).unwrap();
+    let secs = log
+        .scans()
+        .windows(2)
+        .map(|pair| secs_between(pair[0].time_ns.unwrap(), pair[1].time_ns.unwrap()));
+    assert!(secs.into_iter().all(|secs| secs > 0.0) && log.len() == Some(8));
+    assert_eq!(log.read(2).unwrap().points[0].x, 3.0);
+    assert_eq!(log.read(2).unwrap().pose.unwrap().translation.x, 2.0);
+}
+
+/// Real recordings of others, where they are: tf and odometry in all three containers.
+#[test]
+fn real_recordings_without_clouds_are_described() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/logs/bags");
+    if !folder.is_dir() {
+        eprintln!("skipped: no {}", folder.display());
+        return;
+    }
+    for name in ["tf_example.bag", "nav2_turtlebot.mcap", "tf_example"] {
+        if name == "tf_example" && !cfg!(feature = "db3") {
+            continue;
+        }
+        let recording = super::open(&folder.join(name), &OpenOptions::default()).unwrap();
+        let recorded = recording.recorded().unwrap();
+        assert!(recorded.topics.iter().any(|topic| topic.messages > 10), "{name}");
+        assert!(recording.scans().is_empty() && recording.notes().iter().any(|note| note.contains("holds no scans")));
+    }
+}

@@ -1,0 +1,237 @@
+//! Writing scans as MCAP: clouds as `sensor_msgs/PointCloud2`, poses as tf.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use mcap::WriteOptions;
+use mcap::records::MessageHeader;
+use tsdfuse::trajectory::ns_after;
+use tsdfuse::{Pose, Scan};
+
+use super::schema::known;
+use crate::atomic::AtomicFile;
+use crate::error::{Error, Result};
+use crate::source::Sensor;
+
+/// The frame in which the poses are.
+const WORLD: &str = "map";
+/// Chunks that hold a sweep or two.
+const CHUNK: u64 = 4 << 20;
+
+/// Writes scans as an MCAP file, one after another: `PointCloud2` with the fields `x y z intensity time ring`, as far as the scans
+/// have them, each sensor under a topic of its own, and its poses during each sweep as tf from `map`.
+///
+/// Points, rings and times come back bit for bit, poses up to rounding. The file appears when it is finished.
+pub struct Writer {
+    path: PathBuf,
+    mcap: mcap::Writer<AtomicFile>,
+    /// Channel, topic and frame of each sensor's clouds.
+    clouds: Vec<(u16, String)>,
+    tf: u16,
+    /// The times at which each sensor's pose was told, and the last scan's.
+    told: Vec<BTreeMap<i64, Pose>>,
+    scans: u64,
+}
+
+/// A message of CDR, little-endian.
+struct Cdr(Vec<u8>);
+
+impl Cdr {
+    fn new() -> Self {
+        Self(vec![0, 1, 0, 0])
+    }
+
+    fn align(&mut self, size: usize) {
+        // Behind the header of four bytes.
+        let len = 4 + (self.0.len() - 4).next_multiple_of(size);
+        self.0.resize(len, 0);
+    }
+
+    fn number<const N: usize>(&mut self, bytes: [u8; N]) {
+        self.align(N);
+        self.0.extend(bytes);
+    }
+
+    fn u32(&mut self, value: usize) {
+        self.number(u32::try_from(value).unwrap_or(u32::MAX).to_le_bytes());
+    }
+
+    fn text(&mut self, text: &str) {
+        self.u32(text.len() + 1);
+        self.0.extend(text.bytes());
+        self.0.push(0);
+    }
+
+    fn header(&mut self, time_ns: i64, frame: &str) {
+        let secs = i32::try_from(time_ns.div_euclid(1_000_000_000)).unwrap_or(i32::MAX);
+        self.number(secs.to_le_bytes());
+        self.number((time_ns.rem_euclid(1_000_000_000) as u32).to_le_bytes());
+        self.text(frame);
+    }
+}
+
+impl Writer {
+    /// Begins a file for scans of these sensors.
+    ///
+    /// # Errors
+    /// Names the file and what the system says.
+    pub fn create(path: impl AsRef<Path>, sensors: &[Sensor]) -> Result<Self> {
+        let path = path.as_ref();
+        let file = AtomicFile::create(path)?;
+        let options = WriteOptions::new()
+            .profile("ros2")
+            .library("tsdfuse")
+            .compression(None)
+            .chunk_size(Some(CHUNK));
+        let wrong = |e: mcap::McapError| Error::format(path, e.to_string());
+        let mut mcap = options.create(file).map_err(wrong)?;
+        let mut channel = |topic: &str, kind: &str| {
+            let text = known(kind).unwrap_or_default();
+            let schema = mcap.add_schema(&kind.replace('/', "/msg/"), "ros2msg", text.as_bytes())?;
+            mcap.add_channel(schema, topic, "cdr", &BTreeMap::new())
+        };
+        let tf = channel("/tf", "tf2_msgs/TFMessage").map_err(wrong)?;
+        let mut clouds = Vec::new();
+        for sensor in sensors {
+            let name = sensor.name.trim_start_matches('/');
+            let id = channel(&format!("/{name}"), "sensor_msgs/PointCloud2").map_err(wrong)?;
+            clouds.push((id, name.replace('/', "_")));
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            mcap,
+            told: vec![BTreeMap::new(); clouds.len()],
+            clouds,
+            tf,
+            scans: 0,
+        })
+    }
+
+    fn write(&mut self, channel_id: u16, time_ns: i64, message: &Cdr) -> Result<()> {
+        let time = u64::try_from(time_ns).map_err(|_| Error::format(&self.path, "MCAP has no times before 1970"))?;
+        let header = MessageHeader {
+            channel_id,
+            sequence: 0,
+            log_time: time,
+            publish_time: time,
+        };
+        let written = self.mcap.write_to_known_channel(&header, &message.0);
+        written.map_err(|e| Error::format(&self.path, e.to_string()))
+    }
+
+    /// Writes the next scan of a sensor, by its number.
+    ///
+    /// # Errors
+    /// Names the file and what the system says, or the scan and what it lacks.
+    pub fn write_scan(&mut self, sensor: usize, scan: &Scan) -> Result<()> {
+        scan.check().map_err(|e| Error::dataset(&self.path, e.to_string()))?;
+        let (channel, frame) =
+            self.clouds.get(sensor).cloned().ok_or_else(|| {
+                Error::dataset(&self.path, format!("{} is of a sensor that was not told of", scan.name))
+            })?;
+        // Scans without times get some, a tenth of a second apart.
+        let time_ns = scan.time_ns.unwrap_or(1_000_000_000 + self.scans as i64 * 100_000_000);
+        self.scans += 1;
+        for (time_ns, pose) in self.poses(sensor, time_ns, scan) {
+            let mut message = Cdr::new();
+            message.u32(1);
+            message.header(time_ns, WORLD);
+            message.text(&frame);
+            let (p, q) = (pose.translation, pose.rotation);
+            for v in [p.x, p.y, p.z, q.x, q.y, q.z, q.w] {
+                message.number(v.to_le_bytes());
+            }
+            self.write(self.tf, time_ns, &message)?;
+        }
+        self.write(channel, time_ns, &cloud(scan, time_ns, &frame))
+    }
+
+    /// The poses during a scan that are not told yet. At each time there is one pose; where a sweep's motion begins with another pose
+    /// than the scan before ended with, it begins a nanosecond later.
+    fn poses(&mut self, sensor: usize, time_ns: i64, scan: &Scan) -> Vec<(i64, Pose)> {
+        let (Some(pose), Some(told)) = (scan.pose, self.told.get_mut(sensor)) else {
+            return Vec::new();
+        };
+        let moved = scan.motion.iter().map(|m| (ns_after(time_ns, m.secs), m.pose));
+        let mut new = Vec::new();
+        for (mut at, pose) in std::iter::once((time_ns, pose)).chain(moved) {
+            if told.get(&at) == Some(&pose) {
+                continue;
+            }
+            while told.contains_key(&at) {
+                at += 1;
+            }
+            told.insert(at, pose);
+            new.push((at, pose));
+        }
+        // Older ones are not met again.
+        while told.len() > 1000 {
+            told.pop_first();
+        }
+        new.sort_by_key(|(at, _)| *at);
+        new
+    }
+
+    /// Completes the file.
+    ///
+    /// # Errors
+    /// Names the file and what the system says.
+    pub fn finish(mut self) -> Result<()> {
+        self.mcap
+            .finish()
+            .map_err(|e| Error::format(&self.path, e.to_string()))?;
+        self.mcap.into_inner().commit()
+    }
+}
+
+fn cloud(scan: &Scan, time_ns: i64, frame: &str) -> Cdr {
+    let count = scan.points.len();
+    let (f32s, u16s) = (7u8, 4u8);
+    let columns = [
+        ("x", f32s, true),
+        ("y", f32s, true),
+        ("z", f32s, true),
+        ("intensity", f32s, scan.intensities.is_some()),
+        ("time", f32s, scan.times.is_some()),
+        ("ring", u16s, scan.rings.is_some()),
+    ];
+    let mut message = Cdr::new();
+    message.header(time_ns, frame);
+    message.u32(1);
+    message.u32(count);
+    let there = columns.iter().filter(|(.., is_there)| *is_there);
+    message.u32(there.clone().count());
+    let mut stride = 0;
+    for (name, datatype, _) in there {
+        message.text(name);
+        message.u32(stride);
+        message.0.push(*datatype);
+        message.u32(1);
+        stride += if *datatype == f32s { 4 } else { 2 };
+    }
+    message.0.push(0);
+    message.u32(stride);
+    message.u32(stride * count);
+    message.u32(stride * count);
+    message.0.reserve(stride * count + 1);
+    for (i, point) in scan.points.iter().enumerate() {
+        let bytes = &mut message.0;
+        bytes.extend(point.to_array().into_iter().flat_map(f32::to_le_bytes));
+        for column in [&scan.intensities, &scan.times] {
+            bytes.extend(
+                column
+                    .iter()
+                    .filter_map(|values| values.get(i))
+                    .flat_map(|v| v.to_le_bytes()),
+            );
+        }
+        bytes.extend(
+            scan.rings
+                .iter()
+                .filter_map(|rings| rings.get(i))
+                .flat_map(|v| v.to_le_bytes()),
+        );
+    }
+    message.0.push(1);
+    message
+}
