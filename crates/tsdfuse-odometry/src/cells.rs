@@ -479,6 +479,11 @@ mod tests {
         (0..30_000).map(point).collect()
     }
 
+    /// As seen by two beams.
+    fn seen(points: &[DVec3]) -> Vec<Seen> {
+        points.iter().map(|&at| Seen { at, elevation: 3 }).collect()
+    }
+
     /// The plane that foretells `p` best, of the cells around it, from all points.
     fn slowly(points: &[DVec3], grid: &Grid, p: DVec3) -> Option<(f64, f64)> {
         let planes = (0..LEVELS as u8).filter_map(|level| {
@@ -497,9 +502,9 @@ mod tests {
         let (points, mut cells) = (points(), Cells::new(0.25, 0.02, f64::INFINITY));
         // More than are kept are added and taken away again.
         let others: Vec<DVec3> = points.iter().map(|p| *p + DVec3::new(0.1, 0.2, 0.3)).collect();
-        cells.add(&points, 0.0);
-        cells.add(&others, 0.0);
-        cells.remove(&others, 0.0);
+        cells.add(&seen(&points), 0.0);
+        cells.add(&seen(&others), 0.0);
+        cells.remove(&seen(&others), 0.0);
         let grid = cells.grid;
         let mut planes = 0;
         for p in points.iter().step_by(500).map(|p| *p + DVec3::new(0.03, -0.02, 0.05)) {
@@ -517,12 +522,22 @@ mod tests {
     }
 
     #[test]
+    fn what_one_beam_saw_is_no_plane() {
+        let mut cells = Cells::new(0.25, 0.02, f64::INFINITY);
+        let one: Vec<Seen> = points().iter().map(|&at| Seen { at, elevation: 4 }).collect();
+        cells.add(&one, 0.0);
+        assert!(one.iter().all(|seen| cells.plane_at(seen.at).is_none()));
+        cells.add(&seen(&points()), 0.0);
+        assert!(one.iter().any(|seen| cells.plane_at(seen.at).is_some()));
+    }
+
+    #[test]
     fn what_is_forgotten_is_gone_and_the_rest_is_as_before() {
         let (points, mut cells) = (points(), Cells::new(0.25, 0.02, f64::INFINITY));
         let far: Vec<DVec3> = points.iter().map(|p| *p + 100.0).collect();
-        cells.add(&points, 0.0);
+        cells.add(&seen(&points), 0.0);
         let (alone, probes) = (cells.clone(), points.iter().step_by(50));
-        cells.add(&far, 10.0);
+        cells.add(&seen(&far), 10.0);
         cells.forget(DVec3::ZERO, 50.0, 0.0);
         assert_eq!(cells.len(), alone.len());
         for p in probes {

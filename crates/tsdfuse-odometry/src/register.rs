@@ -21,7 +21,7 @@ pub(crate) const KNOTS: usize = 3;
 pub(crate) const GRAIN: usize = 512;
 
 /// The share of returns that count: neighbours share the errors of their plane.
-const INDEPENDENT: f64 = 0.03;
+const INDEPENDENT: f64 = 0.05;
 
 /// The kernel's width where the motion has converged, in standard deviations.
 pub(crate) const KERNEL: f64 = 2.5;
