@@ -249,11 +249,11 @@ pub(crate) struct Chunk {
     pub(crate) compression: Compression,
 }
 
-/// The chunks of a file. The one that was unpacked last is kept.
+/// The chunks of a file. The two that were used last are kept unpacked, as two threads read.
 pub(crate) struct Chunks {
     pub(crate) file: RandomFile,
     pub(crate) chunks: Vec<Chunk>,
-    last: Mutex<Option<(u32, Arc<Vec<u8>>)>>,
+    last: Mutex<Vec<(u32, Arc<Vec<u8>>)>>,
 }
 
 impl Chunks {
@@ -261,7 +261,7 @@ impl Chunks {
         Self {
             file,
             chunks: Vec::new(),
-            last: Mutex::new(None),
+            last: Mutex::new(Vec::new()),
         }
     }
 
@@ -277,17 +277,18 @@ impl Chunks {
     /// The whole content of a chunk.
     pub(crate) fn unpacked(&self, number: u32) -> Result<Arc<Vec<u8>>> {
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((kept, bytes)) = &*last
-            && *kept == number
-        {
-            return Ok(bytes.clone());
+        if let Some(at) = last.iter().position(|(kept, _)| *kept == number) {
+            last[at..].rotate_left(1);
+            return Ok(last.last().map_or_else(Arc::default, |(_, bytes)| bytes.clone()));
         }
-        *last = None;
+        if last.len() > 1 {
+            last.remove(0);
+        }
         let chunk = self.chunk(number)?;
         let packed = self.file.read(chunk.begin, chunk.packed)?;
         let unpacked = chunk.compression.unpack(packed, chunk.unpacked);
         let unpacked = Arc::new(unpacked.map_err(|why| self.wrong(number, &why))?);
-        *last = Some((number, unpacked.clone()));
+        last.push((number, unpacked.clone()));
         Ok(unpacked)
     }
 

@@ -6,6 +6,7 @@ use tsdfuse::trajectory::secs_between;
 
 use super::bag::Bag;
 use super::container::Entry;
+use super::packets::PacketSweeps;
 use super::point_times::{PointTimes, Sighting, median};
 use super::points::{Columns, Points};
 use super::schema::Schema;
@@ -40,6 +41,8 @@ pub(crate) struct Lidar {
     pub(crate) per_sweep: usize,
     times: Option<PointTimes>,
     rings: Rings,
+    /// Where its messages hold packets.
+    packets: Option<PacketSweeps>,
     /// Points of a message on average.
     pub(crate) points: f64,
     /// What was concluded, one line each.
@@ -94,6 +97,7 @@ impl Lidar {
             per_sweep: 1,
             times: None,
             rings: Rings::AsTheyAre,
+            packets: None,
             points: 0.0,
             facts: Vec::new(),
         };
@@ -127,6 +131,41 @@ impl Lidar {
         Ok(this)
     }
 
+    /// The LiDAR whose packets a channel holds.
+    ///
+    /// # Errors
+    /// That of the packets.
+    pub(crate) fn of_packets(
+        bag: &Bag,
+        channel: usize,
+        schema: &Schema,
+        frame: &str,
+        packets: PacketSweeps,
+    ) -> Result<Self> {
+        let mut this = Self {
+            channel,
+            topic: bag.channels().get(channel).map_or(String::new(), |c| c.topic.clone()),
+            frame: frame.to_owned(),
+            schema: schema.clone(),
+            entries: bag.entries(channel).to_vec(),
+            times_ns: packets.times_ns(),
+            per_sweep: 1,
+            times: None,
+            rings: Rings::AsTheyAre,
+            facts: packets.facts.clone(),
+            packets: Some(packets),
+            points: 0.0,
+        };
+        let middle = this.read(bag, this.sweeps() / 2)?;
+        this.points = middle.points.len() as f64;
+        Ok(this)
+    }
+
+    /// The beams, where packets tell them.
+    pub(crate) fn beams(&self) -> Option<tsdfuse::SensorModel> {
+        self.packets.as_ref()?.beams.clone()
+    }
+
     /// Seconds from one message to the next.
     pub(crate) fn period_secs(&self) -> Option<f64> {
         let mut steps: Vec<f64> = self
@@ -140,7 +179,7 @@ impl Lidar {
 
     /// How many sweeps there are.
     pub(crate) fn sweeps(&self) -> usize {
-        self.entries.len() / self.per_sweep
+        self.times_ns.len() / self.per_sweep
     }
 
     /// When a sweep's first message was stamped.
@@ -267,6 +306,9 @@ impl Lidar {
     /// # Errors
     /// Names the topic, the message, and what is wrong with it.
     pub(crate) fn read(&self, bag: &Bag, sweep: usize) -> Result<Points> {
+        if let Some(packets) = &self.packets {
+            return packets.read(bag, self.channel, &self.schema, &self.entries, sweep);
+        }
         let mut all = Points::default();
         let begin_ns = self.time_ns(sweep);
         let first = sweep * self.per_sweep;

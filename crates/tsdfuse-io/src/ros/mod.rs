@@ -4,7 +4,7 @@
 //!
 //! | what | where from |
 //! |---|---|
-//! | points | `sensor_msgs/PointCloud2` of any layout, Livox's `CustomMsg` |
+//! | points | `sensor_msgs/PointCloud2` of any layout, Livox's `CustomMsg`; packets of Velodyne, Hesai and Ouster |
 //! | times of points | a field `t`, `time`, `timestamp`, …; unit and reference are inferred over several sweeps |
 //! | rings | a field `ring`, `channel`, `line`, …, renumbered from the lowest |
 //! | poses | tf, `nav_msgs/Odometry`, `PoseStamped`, `nav_msgs/Path`: those that move and cover the scans; or `--poses` |
@@ -31,6 +31,7 @@ mod lidar;
 mod mcap;
 mod messages;
 mod motion;
+mod packets;
 mod point_times;
 mod points;
 mod recording;

@@ -13,7 +13,9 @@ use super::images;
 use super::lidar::Lidar;
 use super::messages;
 use super::motion::{self, Candidate, Track};
+use super::packets::PacketSweeps;
 use super::survey::{Stamps, Survey, Use, use_of, with_message};
+use crate::calibrations::Calibrations;
 use crate::error::{Error, Result};
 use crate::poses::{self, Poses};
 use crate::source::{GnssFix, ImageRef, ImuSample, OpenOptions, Recorded, ScanRef, Sensor, Source, Topic};
@@ -76,7 +78,7 @@ impl Recording {
             image_places: Vec::new(),
             recorded: Recorded::default(),
         };
-        let all = this.look_at_lidars();
+        let all = this.look_at_lidars(path, options)?;
         let chosen = this.choose(path, all, options)?;
         this.lidars = chosen;
         let motion = this.settle_motion(path, options)?;
@@ -93,8 +95,8 @@ impl Recording {
         self.recorded.conclusions.push((subject.to_owned(), text));
     }
 
-    fn look_at_lidars(&mut self) -> Vec<Lidar> {
-        let mut all = Vec::new();
+    fn look_at_lidars(&mut self, path: &Path, options: &OpenOptions) -> Result<Vec<Lidar>> {
+        let mut all = self.look_at_packets(path, options)?;
         for (number, channel) in self.bag.channels().iter().enumerate() {
             if use_of(channel) != Use::Points {
                 continue;
@@ -107,9 +109,41 @@ impl Recording {
             }
         }
         // The one with the most points first.
-        let amount = |lidar: &Lidar| lidar.points * lidar.entries.len() as f64;
+        let amount = |lidar: &Lidar| lidar.points * lidar.times_ns.len() as f64;
         all.sort_by(|a, b| amount(b).total_cmp(&amount(a)).then_with(|| a.topic.cmp(&b.topic)));
-        all
+        Ok(all)
+    }
+
+    fn look_at_packets(&mut self, path: &Path, options: &OpenOptions) -> Result<Vec<Lidar>> {
+        let mut all = Vec::new();
+        let told = match options.sensors.as_slice() {
+            [name] => tsdfuse_packets::Sensor::named(name),
+            _ => None,
+        };
+        let calibrations = Calibrations::given_or_beside(options.calibration.as_deref(), path)?;
+        for (number, channel) in self.bag.channels().iter().enumerate() {
+            let Some(schema) = self
+                .survey
+                .schemas
+                .get(&number)
+                .filter(|_| use_of(channel) == Use::Packets)
+            else {
+                continue;
+            };
+            // Ouster's driver has a second topic of packets, for its IMU.
+            if channel.topic.contains("imu") {
+                continue;
+            }
+            let stamps = self.survey.stamps.get(&number);
+            let frame = stamps.map_or("os_sensor", |stamps| stamps.frame.as_str());
+            let looked = PacketSweeps::index(&self.bag, number, schema, &calibrations, told)
+                .and_then(|packets| Lidar::of_packets(&self.bag, number, schema, frame, packets));
+            match looked {
+                Ok(lidar) => all.push(lidar),
+                Err(error) => self.notes.push(format!("{} is not read: {error}", channel.topic)),
+            }
+        }
+        Ok(all)
     }
 
     /// Which of the LiDARs are read.
@@ -123,7 +157,8 @@ impl Recording {
             match all.iter().find(|lidar| is_called(lidar, name)) {
                 Some(lidar) => named.push(lidar.clone()),
                 // The model of the only one.
-                None if tsdfuse::sensor::model(name).is_some() && options.sensors.len() == 1 => {}
+                None if options.sensors.len() == 1
+                    && (tsdfuse::sensor::model(name).is_some() || tsdfuse_packets::Sensor::named(name).is_some()) => {}
                 None => {
                     let topics: Vec<_> = all.iter().map(|lidar| lidar.topic.as_str()).collect();
                     let reason = format!(
@@ -363,7 +398,9 @@ impl Recording {
                 .first()
                 .filter(|name| !is_of(lidar, name) && self.lidars.len() == 1);
             self.sensors.push(Sensor {
-                model: named.and_then(|name| tsdfuse::sensor::model(name)),
+                model: named
+                    .and_then(|name| tsdfuse::sensor::model(name))
+                    .or_else(|| lidar.beams()),
                 body_from_sensor: motion
                     .and_then(|m| m.body_from_sensor.get(number).copied())
                     .unwrap_or_default(),

@@ -22,6 +22,8 @@ const HEAD: usize = 512;
 pub(crate) enum Use {
     /// Points: `PointCloud2` or Livox's `CustomMsg`.
     Points,
+    /// Packets of a LiDAR.
+    Packets,
     /// Frames in frames.
     Transforms,
     /// Stamped poses: odometry and others.
@@ -40,6 +42,7 @@ pub(crate) enum Use {
 pub(crate) fn use_of(channel: &Channel) -> Use {
     match channel.short_kind() {
         "PointCloud2" | "CustomMsg" => Use::Points,
+        "VelodyneScan" | "PandarScan" | "NebulaPackets" | "PacketMsg" => Use::Packets,
         "TFMessage" | "tfMessage" | "TransformStamped" => Use::Transforms,
         "Odometry" | "PoseStamped" | "PoseWithCovarianceStamped" => Use::Poses,
         "Path" if channel.kind.starts_with("nav_msgs/") => Use::Path,
@@ -150,6 +153,10 @@ impl Survey {
                     this.notes.push(format!("{}: is not read: {why}", channel.topic));
                     continue;
                 }
+            }
+            // These have no header; they are followed later.
+            if channel.short_kind() == "PacketMsg" {
+                continue;
             }
             // A path is told again with each message, and the last one is the longest.
             let skip = if use_of(channel) == Use::Path {

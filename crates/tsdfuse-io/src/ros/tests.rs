@@ -273,6 +273,50 @@ fn scans_are_in_order_of_time() {
     assert_eq!(log.read(2).unwrap().pose.unwrap().translation.x, 2.0);
 }
 
+/// Real packets, where they are, against the makers' own points of one sweep.
+#[test]
+fn packets_become_the_drivers_points() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/logs");
+    if !folder.is_dir() || !cfg!(feature = "db3") {
+        eprintln!("skipped: no {}, or no db3", folder.display());
+        return;
+    }
+    for (name, calibration) in [
+        ("vlp16", "VLP16.yaml"),
+        ("40p", "Pandar40P.csv"),
+        ("xt32", "PandarXT32.csv"),
+    ] {
+        let folder = folder.join("nebula");
+        let options = OpenOptions {
+            calibration: Some(folder.join("calibration").join(calibration)),
+            ..OpenOptions::default()
+        };
+        let path = folder.join(name);
+        let log = open_with(&path, &options).unwrap();
+        let truth = crate::files::list(&path, "pcd").unwrap();
+        let truth = crate::folder::read_cloud(&truth[0].path).unwrap();
+        let near = |scan: &Scan| {
+            let grid = |p: &Vec3| (*p * 50.0).round().as_ivec3();
+            let seen: std::collections::HashSet<_> = scan.points.iter().map(grid).collect();
+            let valid = || truth.points.iter().filter(|p| p.is_finite() && **p != Vec3::ZERO);
+            let is_near = |p: &&Vec3| {
+                let around = (-1..2).flat_map(|x| (-1..2).flat_map(move |y| (-1..2).map(move |z| (x, y, z))));
+                around
+                    .into_iter()
+                    .any(|d| seen.contains(&(grid(p) + tsdfuse::glam::IVec3::from(d))))
+            };
+            valid().filter(is_near).count() as f64 / valid().count() as f64
+        };
+        let best = (0..log.len().unwrap())
+            .map(|k| near(&log.read(k).unwrap()))
+            .fold(0.0, f64::max);
+        assert!(best > 0.95, "{name}: {best}, {:?}", log.notes());
+    }
+    let log = open(folder.join("ouster/512x10_raw.bag")).unwrap();
+    assert!(log.len().unwrap() >= 1, "{:?}", log.notes());
+    assert!(log.read(0).unwrap().points.len() > 1000);
+}
+
 /// Real recordings of others, where they are: tf and odometry in all three containers.
 #[test]
 fn real_recordings_without_clouds_are_described() {
