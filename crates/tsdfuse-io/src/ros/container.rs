@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::ops::{Deref, Range};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use crate::error::{Error, Result};
 
@@ -249,11 +249,14 @@ pub(crate) struct Chunk {
     pub(crate) compression: Compression,
 }
 
+/// An unpacked chunk, as soon as it is; or why it cannot be.
+type Slot = Arc<OnceLock<Result<Arc<Vec<u8>>, String>>>;
+
 /// The chunks of a file. The two that were used last are kept unpacked, as two threads read.
 pub(crate) struct Chunks {
     pub(crate) file: RandomFile,
     pub(crate) chunks: Vec<Chunk>,
-    last: Mutex<Vec<(u32, Arc<Vec<u8>>)>>,
+    last: Mutex<Vec<(u32, Slot)>>,
 }
 
 impl Chunks {
@@ -274,22 +277,32 @@ impl Chunks {
         Error::format(self.file.path(), format!("chunk {number} {what}"))
     }
 
-    /// The whole content of a chunk.
+    /// The whole content of a chunk. Threads that want the same chunk wait for one of them, others do not.
     pub(crate) fn unpacked(&self, number: u32) -> Result<Arc<Vec<u8>>> {
+        let chunk = self.chunk(number)?;
+        let slot = self.slot(number);
+        let unpack = || {
+            let packed = self
+                .file
+                .read(chunk.begin, chunk.packed)
+                .map_err(|e| format!("cannot be read: {e}"))?;
+            chunk.compression.unpack(packed, chunk.unpacked).map(Arc::new)
+        };
+        slot.get_or_init(unpack).clone().map_err(|why| self.wrong(number, &why))
+    }
+
+    fn slot(&self, number: u32) -> Slot {
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(at) = last.iter().position(|(kept, _)| *kept == number) {
-            last[at..].rotate_left(1);
-            return Ok(last.last().map_or_else(Arc::default, |(_, bytes)| bytes.clone()));
-        }
+        let kept = last.iter().position(|(kept, _)| *kept == number);
+        let slot = match kept {
+            Some(at) => last.remove(at).1,
+            None => Slot::default(),
+        };
         if last.len() > 1 {
             last.remove(0);
         }
-        let chunk = self.chunk(number)?;
-        let packed = self.file.read(chunk.begin, chunk.packed)?;
-        let unpacked = chunk.compression.unpack(packed, chunk.unpacked);
-        let unpacked = Arc::new(unpacked.map_err(|why| self.wrong(number, &why))?);
-        last.push((number, unpacked.clone()));
-        Ok(unpacked)
+        last.push((number, slot.clone()));
+        slot
     }
 
     /// A part of a chunk, or of the file outside of chunks, at most `len` bytes of it.
