@@ -83,16 +83,19 @@ impl LogArgs {
         match self.poses.as_deref().and_then(Path::to_str) {
             None => PosesFrom::Any,
             Some("track") => PosesFrom::Track,
+            Some(text) if text == "refine" || text.starts_with(REFINE_FILE) => PosesFrom::Refine,
             Some(_) => PosesFrom::Log,
         }
     }
 
     /// Refuses odometry, for commands that compare what is made of one trajectory.
     pub(crate) fn check_poses_known(&self) -> Result<()> {
-        if self.poses_from() == PosesFrom::Track {
-            return Err(Usage::new("--poses track: this command needs poses that are known; write them with `tsdfuse odometry LOG -o poses.tum`").into());
-        }
-        Ok(())
+        let word = match self.poses_from() {
+            PosesFrom::Track => "track",
+            PosesFrom::Refine => "refine",
+            PosesFrom::Any | PosesFrom::Log => return Ok(()),
+        };
+        Err(Usage::new(format!("--poses {word}: this command needs poses that are known; write them with `tsdfuse odometry LOG --poses {word} -o poses.tum`")).into())
     }
 
     /// The log and which of its scans.
@@ -100,7 +103,7 @@ impl LogArgs {
         Input {
             path: self.log.clone(),
             options: OpenOptions {
-                poses: self.poses.clone().filter(|path| !is_word(path)),
+                poses: self.poses.as_deref().and_then(pose_file),
                 sensors: self.sensor.clone(),
                 calibration: self.calibration.clone(),
                 extrinsics: self.extrinsics,
@@ -142,10 +145,17 @@ impl LogArgs {
     }
 }
 
-/// Whether it is a word of `--poses` and no file.
-fn is_word(path: &Path) -> bool {
-    path == Path::new("log") || path == Path::new("track")
+/// The file that `--poses` names, if it names one.
+fn pose_file(poses: &Path) -> Option<PathBuf> {
+    match poses.to_str() {
+        Some("log" | "track" | "refine") => None,
+        Some(text) => Some(text.strip_prefix(REFINE_FILE).unwrap_or(text).into()),
+        None => Some(poses.to_owned()),
+    }
 }
+
+/// `--poses` with this before a file's name refines its poses.
+const REFINE_FILE: &str = "refine:";
 
 /// A pose: seven numbers with commas between them, or a file with a matrix.
 pub(crate) fn parse_extrinsics(text: &str) -> Result<Pose, String> {

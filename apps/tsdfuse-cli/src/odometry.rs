@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 use serde::Serialize;
 use tsdfuse_run::report::OdometryReport;
-use tsdfuse_run::{RunConfig, TrackedScan, check_outputs, track, write_poses};
+use tsdfuse_run::{PosesFrom, RunConfig, TrackedScan, check_outputs, refine, track, write_poses};
 
 use crate::args::LogArgs;
 use crate::exit::{self, Outcome};
@@ -48,11 +48,22 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     args.log.set_threads()?;
     let input = args.log.input();
     check_outputs(&[&input.path], &[&args.output])?;
-    let log = input.open_unplaced(&mut Terminal::default())?;
+    let refines = args.log.poses_from() == PosesFrom::Refine;
+    let mut terminal = Terminal::default();
+    let log = if refines {
+        input.open(&mut terminal)?
+    } else {
+        input.open_unplaced(&mut terminal)?
+    };
     let config: RunConfig = args.log.settings(None)?.resolve(&log)?;
     let stop = exit::stop_on_interrupt()?;
     let start = Instant::now();
-    let scans = track(&log, &input.selection, config.odometry, config.range, &stop)?;
+    let (config, range) = (config.odometry, config.range);
+    let scans = if refines {
+        refine(&log, &input.selection, config, range, &stop, &mut terminal)?
+    } else {
+        track(&log, &input.selection, config, range, &stop)?
+    };
     let seconds = start.elapsed().as_secs_f64();
     let poses: Vec<_> = scans.iter().map(|scan| scan.pose).collect();
     let report = OdometryReport::of(seconds, &poses, scans.iter().map(|scan| &scan.quality));

@@ -249,7 +249,7 @@ impl Shard {
         };
         for level in (0..LEVELS as u8).rev() {
             let cell = &mut self.cells[at as usize];
-            cell.seen_at = driven;
+            cell.seen_at = cell.seen_at.max(driven);
             cell.elevations |= elevation;
             if sign < 0.0 || cell.sums.n < grid.most_points {
                 cell.sums.add(p - grid.centre(cell.key, level), sign);

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
-use tsdfuse::Pose;
+use tsdfuse::scan::{PoseAt, Sweep};
+use tsdfuse::{Pose, Scan};
 
 /// Steps of time in a sweep: motion within one of them is straight.
 pub(crate) const STEPS: usize = 16;
@@ -25,7 +26,7 @@ impl Twist {
         }
     }
 
-    fn apply(&self, pose: &Pose, centre: DVec3) -> Pose {
+    pub(crate) fn apply(&self, pose: &Pose, centre: DVec3) -> Pose {
         let turn = DQuat::from_scaled_axis(self.turn);
         Pose {
             rotation: (turn * pose.rotation).normalize(),
@@ -120,6 +121,37 @@ impl Motion {
         Self {
             poses: poses.map(|(j, pose)| twist(j).apply(pose, centre)).collect(),
         }
+    }
+
+    /// The pose at a scan's own time, and those at other times, of a sweep that spans these seconds after the scan's time.
+    pub(crate) fn around_scan(&self, (first, last): (f64, f64)) -> (Pose, Vec<PoseAt>) {
+        let steps = self.poses.len() - 1;
+        if steps == 0 {
+            return (self.first(), Vec::new());
+        }
+        let at = |(j, &pose): (usize, &Pose)| PoseAt {
+            secs: first + (last - first) * j as f64 / steps as f64,
+            pose,
+        };
+        let at: Vec<PoseAt> = self.poses.iter().enumerate().map(at).collect();
+        let after_first = at[1..].iter().map(|m| PoseAt {
+            secs: m.secs - first,
+            ..*m
+        });
+        let own = Sweep::new(at[0].pose, &after_first.collect::<Vec<_>>()).at(-first);
+        (own, at.into_iter().filter(|m| m.secs.abs() > 1e-9).collect())
+    }
+
+    /// The motion of a scan that has a pose, over the seconds after its time that its returns span.
+    pub(crate) fn of_scan(scan: &Scan, (first, last): (f64, f64)) -> Option<Self> {
+        let pose = scan.pose?;
+        let Some(sweep) = scan.sweep().filter(|_| last > first) else {
+            return Some(Self::still(pose));
+        };
+        let secs = |j: usize| first + (last - first) * j as f64 / STEPS as f64;
+        Some(Self {
+            poses: (0..=STEPS).map(|j| sweep.at(secs(j))).collect(),
+        })
     }
 
     /// What places points quickly.

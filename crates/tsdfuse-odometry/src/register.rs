@@ -178,7 +178,7 @@ impl Normal {
     }
 }
 
-fn six(shift: DVec3, turn: DVec3) -> Vector6<f64> {
+pub(crate) fn six(shift: DVec3, turn: DVec3) -> Vector6<f64> {
     Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
 }
 

@@ -5,6 +5,8 @@ use rayon::prelude::*;
 use rustc_hash::{FxBuildHasher, FxHashSet};
 use tsdfuse::Scan;
 
+use crate::cells::{Seen, elevation_bit};
+use crate::motion::Motion;
 use crate::register::{COARSE, Return};
 
 /// The span of a sweep and its returns, spread evenly over space.
@@ -47,12 +49,33 @@ fn thinned(returns: &[Return], size: f32) -> Vec<Return> {
 /// Cubes of the two selections, metres; the larger ones follow the number of returns that is wanted.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sampling {
-    pub(crate) dense_m: f32,
-    pub(crate) sparse_m: f32,
-    pub(crate) wanted: usize,
+    dense_m: f32,
+    sparse_m: f32,
+    wanted: usize,
+}
+
+impl Sampled {
+    /// What a sensor saw that moved so.
+    pub(crate) fn seen(&self, motion: &Motion) -> Vec<Seen> {
+        let placer = motion.placer();
+        let seen = |r: &Return| Seen {
+            at: placer.place(r.point, r.share),
+            elevation: elevation_bit(r.point),
+        };
+        self.dense.par_iter().with_min_len(GRAIN).map(seen).collect()
+    }
 }
 
 impl Sampling {
+    /// Selects about so many returns of each scan for registration.
+    pub(crate) fn new(wanted: usize) -> Self {
+        Self {
+            dense_m: 0.1,
+            sparse_m: 0.5,
+            wanted,
+        }
+    }
+
     /// Selects returns of a scan, and adapts to how many there were.
     pub(crate) fn sample(&mut self, scan: &Scan) -> Sampled {
         let times = scan.times.as_deref().unwrap_or_default();

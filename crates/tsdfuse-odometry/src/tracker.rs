@@ -4,20 +4,18 @@ use std::collections::VecDeque;
 
 use glam::{DMat3, DVec3};
 use nalgebra::{Matrix3, Matrix6};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use tsdfuse::scan::PoseAt;
 use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, Scan};
 
 use crate::along::Drift;
-use crate::cells::{Cells, Seen, elevation_bit};
+use crate::cells::Cells;
 use crate::motion::{Motion, STEPS, repeated, turn_of};
 use crate::register::{Prediction, Registered, register};
 use crate::sample::{Sampled, Sampling};
 
 /// A scan with fewer returns, evenly spread, is not placed by them.
-const LEAST_RETURNS: usize = 50;
+pub(crate) const LEAST_RETURNS: usize = 50;
 
 /// A cell takes no more points than this: what was seen first, with the least drift, stays.
 const MOST_POINTS: f64 = 4000.0;
@@ -84,6 +82,27 @@ const UNDETERMINED_M: f64 = 0.1;
 const UNMATCHED: f64 = 0.5;
 
 impl Quality {
+    pub(crate) fn of(registered: &Registered) -> Self {
+        let rigid = &registered.rigid;
+        let shifts = rigid.fixed_view::<3, 3>(0, 0).into_owned();
+        let turns = rigid.fixed_view::<3, 3>(3, 3).into_owned();
+        let mixed: Matrix3<f64> = rigid.fixed_view::<3, 3>(0, 3).into_owned();
+        let left = match turns.try_inverse() {
+            Some(inverse) => shifts - mixed * inverse * mixed.transpose(),
+            None => Matrix3::zeros(),
+        };
+        let column = |c: usize| DVec3::new(left[(0, c)], left[(1, c)], left[(2, c)]);
+        let eigen = tsdfuse::eigen::eigen(&DMat3::from_cols(column(0), column(1), column(2)));
+        Self {
+            covered: registered.covered,
+            matched: registered.matched,
+            rms_m: registered.rms,
+            position_sigma_m: eigen.values[0].max(1e-12).sqrt().recip(),
+            worst_direction: eigen.vectors[0].to_array(),
+            passes: registered.passes,
+        }
+    }
+
     /// Whether the returns do not tell the position along [`Self::worst_direction`]: there, the motion before went on.
     pub fn is_undetermined(&self) -> bool {
         !(self.position_sigma_m <= UNDETERMINED_M)
@@ -140,11 +159,7 @@ impl Tracker {
     pub fn new(config: OdometryConfig) -> Self {
         Self {
             config,
-            sampling: Sampling {
-                dense_m: 0.1,
-                sparse_m: 0.5,
-                wanted: config.returns,
-            },
+            sampling: Sampling::new(config.returns),
             cells: Cells::new(config.cell_m, config.noise_m, MOST_POINTS),
             first: None,
             last: None,
@@ -243,7 +258,7 @@ impl Tracker {
                 },
             );
             velocity = repeated(&registered.motion.first(), 1.0 / gap);
-            quality = self.quality(&registered);
+            quality = Quality::of(&registered);
             (motions.1, end, is_weak) = (registered.motion, registered.end, registered.along.is_some());
         }
         self.place(first.0, &motions.0, first.1.span, Quality::default());
@@ -335,43 +350,15 @@ impl Tracker {
             ),
             motion: motion.clone(),
         });
-        let quality = self.quality(&registered);
+        let quality = Quality::of(&registered);
         self.place(scan, &motion, sampled.span, quality);
-    }
-
-    fn quality(&self, registered: &Registered) -> Quality {
-        let rigid = &registered.rigid;
-        let shifts = rigid.fixed_view::<3, 3>(0, 0).into_owned();
-        let turns = rigid.fixed_view::<3, 3>(3, 3).into_owned();
-        let mixed: Matrix3<f64> = rigid.fixed_view::<3, 3>(0, 3).into_owned();
-        let left = match turns.try_inverse() {
-            Some(inverse) => shifts - mixed * inverse * mixed.transpose(),
-            None => Matrix3::zeros(),
-        };
-        let column = |c: usize| DVec3::new(left[(0, c)], left[(1, c)], left[(2, c)]);
-        let eigen = tsdfuse::eigen::eigen(&DMat3::from_cols(column(0), column(1), column(2)));
-        Quality {
-            covered: registered.covered,
-            matched: registered.matched,
-            rms_m: registered.rms,
-            position_sigma_m: eigen.values[0].max(1e-12).sqrt().recip(),
-            worst_direction: eigen.vectors[0].to_array(),
-            passes: registered.passes,
-        }
     }
 
     /// Adds what a scan saw to the cells.
     fn see(&mut self, sampled: &Sampled, motion: &Motion) {
-        let placer = motion.placer();
-        let points = sampled.dense.par_iter().with_min_len(1024);
-        let seen = points.map(|r| Seen {
-            at: placer.place(r.point, r.share),
-            elevation: elevation_bit(r.point),
-        });
-        let points: Vec<Seen> = seen.collect();
         self.driven += motion.last().translation.distance(self.here);
         self.here = motion.last().translation;
-        self.cells.add(&points, self.driven);
+        self.cells.add(&sampled.seen(motion), self.driven);
         let here = motion.last().translation;
         if self.driven - self.forgotten_at > 0.05 * self.config.remember_m {
             self.cells
@@ -381,24 +368,9 @@ impl Tracker {
     }
 
     /// Sets pose and motion of a scan whose returns span the motion.
-    fn place(&mut self, mut scan: Scan, motion: &Motion, (first, last): (f64, f64), quality: Quality) {
-        let steps = motion.poses.len() - 1;
-        scan.motion.clear();
-        if steps == 0 {
-            scan.pose = Some(motion.first());
-        } else {
-            let secs = |j: usize| first + (last - first) * j as f64 / steps as f64;
-            let at = motion
-                .poses
-                .iter()
-                .enumerate()
-                .map(|(j, &pose)| PoseAt { secs: secs(j), pose });
-            let at: Vec<PoseAt> = at.collect();
-            let sweep = tsdfuse::scan::Sweep::new(at[0].pose, &rebased(&at));
-            let own = sweep.at(-at[0].secs);
-            scan.pose = Some(own);
-            scan.motion = at.into_iter().filter(|m| m.secs.abs() > 1e-9).collect();
-        }
+    fn place(&mut self, mut scan: Scan, motion: &Motion, span: (f64, f64), quality: Quality) {
+        let (pose, motion) = motion.around_scan(span);
+        (scan.pose, scan.motion) = (Some(pose), motion);
         self.ready.push_back(Tracked { scan, quality });
     }
 
@@ -406,15 +378,6 @@ impl Tracker {
     pub fn cells(&self) -> usize {
         self.cells.len()
     }
-}
-
-/// Poses at times after the first one's.
-fn rebased(at: &[PoseAt]) -> Vec<PoseAt> {
-    let shifted = at[1..].iter().map(|m| PoseAt {
-        secs: m.secs - at[0].secs,
-        ..*m
-    });
-    shifted.collect()
 }
 
 /// The motion of a sweep at a velocity (sensor at the end of a second from sensor at its begin).

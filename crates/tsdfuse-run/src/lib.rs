@@ -54,7 +54,7 @@ pub use run::Resumed;
 pub use session::Session;
 pub use settings::Settings;
 pub use setup::Setup;
-pub use tracking::{PosesFrom, TrackedScan, track, write_poses};
+pub use tracking::{PosesFrom, TrackedScan, refine, track, write_poses};
 pub use tsdfuse_odometry::{OdometryConfig, Quality};
 
 /// The examples of the README, compiled.

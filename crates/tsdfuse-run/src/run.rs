@@ -30,7 +30,7 @@ impl Job {
             self.outputs.check_in_parts()?;
         }
         let log = match self.poses {
-            PosesFrom::Log => self.input.open(observer)?,
+            PosesFrom::Log | PosesFrom::Refine => self.input.open(observer)?,
             PosesFrom::Any | PosesFrom::Track => self.input.open_unplaced(observer)?,
         };
         let setup = self.setup(&log)?;
@@ -171,6 +171,7 @@ impl Job {
         Ok(Setup {
             config: settings.resolve(log)?,
             track: self.poses == PosesFrom::Track || (self.poses == PosesFrom::Any && is_unplaced(log)),
+            refine: self.poses == PosesFrom::Refine,
             selection: self.input.selection.clone(),
             skip_bad: self.input.skip_bad,
             device: self.device.clone(),

@@ -8,7 +8,7 @@ use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Mesh};
 use tsdfuse::{Pose, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::FusedPose;
-use tsdfuse_io::{Log, ReadAhead, ReadScan};
+use tsdfuse_io::{Log, ReadAhead, ReadScan, Selection};
 use tsdfuse_store::PagedMap;
 
 use crate::backend::{Backend, Failed, Integrators, Settled};
@@ -27,7 +27,7 @@ use crate::report::{
     Sums, Totals, ViewReport,
 };
 use crate::setup::Setup;
-use crate::tracking::{self, Tracking};
+use crate::tracking::{self, Refinement, Tracking};
 use crate::view;
 use tsdfuse_odometry::Quality;
 
@@ -65,6 +65,7 @@ pub struct Session {
     name: String,
     reading: Option<ReadAhead>,
     tracking: Option<Tracking>,
+    refinement: Option<Refinement>,
     /// Poses of the scans to come, where they are known.
     next: VecDeque<Option<Pose>>,
     backend: Box<dyn Backend>,
@@ -155,7 +156,7 @@ impl Session {
         };
         let mut session = Self::with(log, setup, backend, checkpoint);
         (session.loaded, session.poses) = (loaded, poses);
-        Ok(session.started(observer))
+        session.started(observer)
     }
 
     /// Goes on with a store, after what was committed last.
@@ -194,7 +195,7 @@ impl Session {
         let backend = Paged::resume(store, &setup, &checkpoint.sensors);
         let mut session = Self::with(log, setup, Box::new(backend), checkpoint);
         session.poses = poses;
-        Ok(session.started(observer))
+        session.started(observer)
     }
 
     fn with(log: &Log, setup: Setup, backend: Box<dyn Backend>, checkpoint: Checkpoint) -> Self {
@@ -223,6 +224,7 @@ impl Session {
             log: log.clone(),
             reading: Some(reading),
             tracking,
+            refinement: None,
             next,
             backend,
             under_way: VecDeque::new(),
@@ -243,8 +245,20 @@ impl Session {
         }
     }
 
-    fn started(mut self, observer: &mut dyn Observer) -> Self {
+    fn started(mut self, observer: &mut dyn Observer) -> Result<Self> {
         let device = self.backend.device();
+        if self.setup.refine {
+            // Scans that are held out are refined, too: whoever looks them up needs their poses as good.
+            let all = Selection {
+                hold_out: None,
+                ..self.setup.selection.clone()
+            };
+            let indices = all.indices(self.log.len().unwrap_or_default());
+            let RunConfig { odometry, range, .. } = &self.setup.config;
+            self.refinement = Some(Refinement::of(
+                &self.log, &indices, *odometry, range, &self.stop, observer,
+            )?);
+        }
         if let Some(loaded) = &self.loaded {
             observer.on(Event::MapLoaded(loaded));
         }
@@ -254,7 +268,7 @@ impl Session {
             device: device.as_deref(),
         });
         self.begun = Instant::now();
-        self
+        Ok(self)
     }
 
     /// What stops this session between two scans, from any thread.
@@ -409,6 +423,10 @@ impl Session {
         };
         let mut scan = read.scan.map_err(|error| bad(name, error.to_string()))?;
         let start = Instant::now();
+        let quality = match &self.refinement {
+            Some(refinement) => refinement.place(index, &mut scan),
+            None => quality,
+        };
         scan.drop_invalid(&self.setup.config.range);
         observer.on(Event::ScanRead { index, scan: &scan });
         self.guess_sensor(sensor, &scan);
@@ -617,9 +635,13 @@ impl Session {
 
     /// What odometry did, if it found the poses.
     pub fn odometry(&self) -> Option<OdometryReport> {
-        self.tracking.as_ref()?;
+        let seconds = match (&self.tracking, &self.refinement) {
+            (Some(_), _) => self.tracking_secs,
+            (None, Some(refinement)) => refinement.seconds,
+            (None, None) => return None,
+        };
         let qualities = self.scans.iter().filter_map(|scan| scan.odometry.as_ref());
-        Some(OdometryReport::of(self.tracking_secs, &self.poses, qualities))
+        Some(OdometryReport::of(seconds, &self.poses, qualities))
     }
 
     /// Whether the session was stopped before the last scan.

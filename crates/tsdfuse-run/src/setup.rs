@@ -18,6 +18,8 @@ pub struct Setup {
     pub config: RunConfig,
     /// Whether odometry finds the poses; otherwise they are the log's.
     pub track: bool,
+    /// Whether the log's poses are refined first: each scan is registered to what the others saw.
+    pub refine: bool,
     /// Which scans are fused.
     pub selection: Selection,
     /// Whether scans that cannot be used are left out; otherwise the first one ends the run.
@@ -43,6 +45,7 @@ impl Default for Setup {
         Self {
             config: RunConfig::default(),
             track: false,
+            refine: false,
             selection: Selection::default(),
             skip_bad: false,
             device: Device::Cpu,

@@ -1,18 +1,19 @@
 //! Poses by odometry: scans wait here until they are placed.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::path::Path;
+use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
-use tsdfuse::Pose;
 use tsdfuse::scan::RangeLimits;
+use tsdfuse::{Pose, Scan};
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::poses::{self, Poses};
 use tsdfuse_io::{Log, ReadScan, Selection};
-use tsdfuse_odometry::{OdometryConfig, Quality, Tracker};
+use tsdfuse_odometry::{OdometryConfig, Quality, Refined, Refiner, Tracker, common_shift};
 
 use crate::error::{BadScan, Result, RunError};
-use crate::event::Stop;
+use crate::event::{Event, Observer, Stop};
 
 /// Where the poses of scans come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,6 +26,8 @@ pub enum PosesFrom {
     Log,
     /// By odometry, whatever the log has.
     Track,
+    /// From the log (or the pose file that is named), refined: each scan is registered to what the others saw.
+    Refine,
 }
 
 /// Scans on their way through the tracker.
@@ -75,6 +78,86 @@ impl Tracking {
             }
         }
         placed
+    }
+}
+
+/// Rounds of refinement, and how far from their poses surfaces are looked for in each, metres.
+const REFINE_REACH_M: [f64; 4] = [0.5, 0.2, 0.1, 0.1];
+
+/// Refined poses, by the scans' numbers in the log.
+#[derive(Default)]
+pub(crate) struct Refinement {
+    refined: HashMap<usize, Refined>,
+    pub(crate) seconds: f64,
+}
+
+impl Refinement {
+    /// Reads the scans of these numbers several times, and refines their poses each time.
+    ///
+    /// # Errors
+    /// [`RunError::Config`] if the log has several sensors or depth images, or cannot be read twice.
+    pub(crate) fn of(
+        log: &Log,
+        indices: &[usize],
+        config: OdometryConfig,
+        limits: &RangeLimits,
+        stop: &Stop,
+        observer: &mut dyn Observer,
+    ) -> Result<Self> {
+        check(log)?;
+        if log.len().is_none() {
+            return Err(RunError::config(
+                "--poses refine reads a log several times, and a stream comes once",
+            ));
+        }
+        let start = Instant::now();
+        observer.on(Event::Working("refining the poses"));
+        let mut refined: HashMap<usize, Refined> = HashMap::new();
+        let mut given: HashMap<usize, Pose> = HashMap::new();
+        for reach_m in REFINE_REACH_M {
+            let mut refiner = Refiner::new(config, reach_m);
+            let mut waiting = VecDeque::new();
+            let mut next = HashMap::new();
+            let mut take = |waiting: &mut VecDeque<usize>, placed: Vec<Option<Refined>>| {
+                for refined in placed {
+                    next.extend(waiting.pop_front().zip(refined));
+                }
+            };
+            for read in log.read_indices(indices.to_vec()) {
+                if stop.is_stopped() {
+                    break;
+                }
+                // A scan that cannot be read is told when it is fused.
+                let Ok(mut scan) = read.scan else { continue };
+                scan.drop_invalid(limits);
+                if let Some(pose) = scan.pose {
+                    given.insert(read.index, pose);
+                }
+                if let Some(refined) = refined.get(&read.index) {
+                    refined.place(&mut scan);
+                }
+                waiting.push_back(read.index);
+                take(&mut waiting, refiner.push(&scan));
+            }
+            take(&mut waiting, refiner.finish());
+            let pairs = indices
+                .iter()
+                .filter_map(|index| Some((given.get(index).copied()?, next.get(index)?.pose)));
+            let shift = common_shift(&pairs.collect::<Vec<_>>());
+            refined = next
+                .into_iter()
+                .map(|(index, refined)| (index, refined.moved(&shift)))
+                .collect();
+        }
+        let seconds = start.elapsed().as_secs_f64();
+        Ok(Self { refined, seconds })
+    }
+
+    /// Places a scan, if it had a pose.
+    pub(crate) fn place(&self, index: usize, scan: &mut Scan) -> Option<Quality> {
+        let refined = self.refined.get(&index)?;
+        refined.place(scan);
+        Some(refined.quality)
     }
 }
 
@@ -133,6 +216,33 @@ pub fn track(
     }
     take(tracking.finish())?;
     Ok(all)
+}
+
+/// Refines the poses of the selected scans of a log, without a map; those without a pose are left out.
+///
+/// # Errors
+/// As [`track`]; [`RunError::Config`] also for a log that cannot be read twice.
+pub fn refine(
+    log: &Log,
+    selection: &Selection,
+    config: OdometryConfig,
+    limits: RangeLimits,
+    stop: &Stop,
+    observer: &mut dyn Observer,
+) -> Result<Vec<TrackedScan>> {
+    let indices = selection.indices(log.scans().len());
+    let refinement = Refinement::of(log, &indices, config, &limits, stop, observer)?;
+    let tracked = indices.into_iter().filter_map(|index| {
+        let (scan, refined) = (&log.scans()[index], refinement.refined.get(&index)?);
+        let (time_ns, pose) = (scan.time_ns, refined.pose);
+        Some(TrackedScan {
+            index,
+            name: scan.name.clone(),
+            pose: FusedPose { time_ns, pose },
+            quality: refined.quality,
+        })
+    });
+    Ok(tracked.collect())
 }
 
 /// Writes poses: as TUM where all have times that ascend, else as KITTI.
