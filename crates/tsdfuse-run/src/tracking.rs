@@ -82,7 +82,7 @@ impl Tracking {
 }
 
 /// Rounds of refinement, and how far from their poses surfaces are looked for in each, metres.
-const REFINE_REACH_M: [f64; 4] = [0.5, 0.2, 0.1, 0.1];
+const REFINE_REACH_M: [f64; 6] = [0.5, 0.2, 0.1, 0.1, 0.1, 0.1];
 
 /// Refined poses, by the scans' numbers in the log.
 #[derive(Default)]
@@ -140,15 +140,16 @@ impl Refinement {
                 take(&mut waiting, refiner.push(&scan));
             }
             take(&mut waiting, refiner.finish());
-            let pairs = indices
-                .iter()
-                .filter_map(|index| Some((given.get(index).copied()?, next.get(index)?.pose)));
-            let shift = common_shift(&pairs.collect::<Vec<_>>());
-            refined = next
-                .into_iter()
-                .map(|(index, refined)| (index, refined.moved(&shift)))
-                .collect();
+            refined = next;
         }
+        let pairs = indices
+            .iter()
+            .filter_map(|index| Some((given.get(index).copied()?, refined.get(index)?.pose)));
+        let shift = common_shift(&pairs.collect::<Vec<_>>());
+        let refined = refined
+            .into_iter()
+            .map(|(index, refined)| (index, refined.moved(&shift)))
+            .collect();
         let seconds = start.elapsed().as_secs_f64();
         Ok(Self { refined, seconds })
     }
