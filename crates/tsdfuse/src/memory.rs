@@ -179,6 +179,11 @@ impl Drop for Blocks {
 pub(crate) const SLAB_BLOCKS: usize = 8;
 const SLAB_BYTES: usize = size_of::<[Block; SLAB_BLOCKS]>();
 
+/// Bytes of memory that a region's blocks take, with the room for more in the last slab.
+pub(crate) fn slabs_bytes(blocks: usize) -> usize {
+    blocks.div_ceil(SLAB_BLOCKS) * (SLAB_BYTES + size_of::<Slab>())
+}
+
 /// A large page, which is the first chunk, and the largest chunk.
 const PAGE_BYTES: usize = 2 << 20;
 const MAX_CHUNK_BYTES: usize = 64 << 20;

@@ -6,10 +6,10 @@ use anyhow::{Context, Result};
 use glam::{DVec3, IVec3};
 use indicatif::{BinaryBytes, HumanCount};
 use serde::Serialize;
-use tsdfuse::index::voxel_at;
+use tsdfuse::MapConfig;
+use tsdfuse::map::Tally;
 use tsdfuse::trajectory::{length_m, secs_between};
-use tsdfuse::{MapConfig, VoxelMap};
-use tsdfuse_io::map_file::FusedPose;
+use tsdfuse_io::map_file::{FusedPose, Reader};
 
 use tsdfuse_run::Checkpoint;
 use tsdfuse_run::report::MapReport;
@@ -66,16 +66,25 @@ impl Travelled {
 }
 
 impl MapInfo {
+    /// Of a saved map, which is read group by group and not kept.
     pub(super) fn read(path: &Path) -> Result<Self> {
-        let (map, poses) = tsdfuse_io::map_file::read_with_poses(path)?;
+        let mut reader = Reader::open(path)?;
+        let (config, poses) = (*reader.config(), reader.take_poses());
+        let mut tally = Tally::default();
+        reader.for_each_block(|index, block| tally.add(index, &block))?;
         let file = std::fs::metadata(path).with_context(|| path.display().to_string())?;
+        let corner = |voxel: IVec3| voxel.as_dvec3() * config.voxel_size_m;
         Ok(Self {
             path: path.to_owned(),
             format: "tsdfuse map",
             file_bytes: file.len(),
-            config: *map.config(),
-            map: MapReport::of(&map),
-            extent_m: extent_m(&map),
+            config,
+            map: MapReport {
+                blocks: tally.blocks(),
+                observed_voxels: tally.observed_voxels(),
+                bytes: tally.memory_bytes(),
+            },
+            extent_m: tally.extent().map(|[low, high]| [corner(low), corner(high + 1)]),
             trajectory: Travelled::of(&poses),
             scans: None,
         })
@@ -133,18 +142,4 @@ impl MapInfo {
         }
         rows.finish()
     }
-}
-
-fn extent_m(map: &VoxelMap) -> Option<[DVec3; 2]> {
-    let mut extent: Option<[IVec3; 2]> = None;
-    for index in map.block_indices() {
-        let voxels = map.block(index).into_iter().flat_map(|block| (0..).zip(&block.voxels));
-        for (number, _) in voxels.filter(|(_, voxel)| voxel.weight_sum > 0) {
-            let voxel = voxel_at(index, number);
-            let [low, high] = extent.unwrap_or([voxel; 2]);
-            extent = Some([low.min(voxel), high.max(voxel)]);
-        }
-    }
-    let corner = |voxel: IVec3| voxel.as_dvec3() * map.config().voxel_size_m;
-    extent.map(|[low, high]| [corner(low), corner(high + 1)])
 }

@@ -319,6 +319,16 @@ fn a_saved_map_is_described() {
             "{key}: {info}"
         );
     }
+    // The map is not loaded, and yet its figures are those of the loaded map.
+    let loaded = map_file::read(&map).unwrap();
+    assert_eq!(
+        ["blocks", "observed_voxels", "bytes"].map(|key| info[key].as_u64().unwrap() as usize),
+        [
+            loaded.block_count(),
+            loaded.observed_voxel_count(),
+            loaded.memory_bytes()
+        ]
+    );
     assert_eq!(info["config"], report["config"]["map"]);
     // A sphere of 2 m without its poles, which no beam reaches, and the band around it.
     for (corner, side) in [(0, -1.0), (1, 1.0)] {

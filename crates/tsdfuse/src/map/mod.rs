@@ -7,6 +7,7 @@
 //! | `shard` | the table of blocks, in parts that threads own |
 //! | `voxel_map` | [`VoxelMap`] itself |
 //! | `region` | regions of blocks, taken out of a map and put in again |
+//! | `tally` | what a map holds, counted without it |
 //! | `sample`, `observed`, `dense` | queries: the field at points, all that was observed, a box as arrays |
 //! | `update` | single voxels, for methods that do not need speed |
 //! | `merge`, `crop`, `warp` | maps made of maps |
@@ -22,6 +23,7 @@ mod recent;
 mod region;
 mod sample;
 mod shard;
+mod tally;
 mod update;
 mod voxel_map;
 mod warp;
@@ -36,5 +38,6 @@ pub use observed::{ObservedBlock, ObservedVoxel};
 pub use region::{BlockPool, RegionBlocks};
 pub use sample::Sample;
 pub(crate) use shard::{NO_SLOT, Shard};
+pub use tally::Tally;
 pub use update::{Updated, VoxelUpdate};
 pub use voxel_map::VoxelMap;
