@@ -29,6 +29,8 @@ pub(super) struct Field<'a> {
 #[derive(Debug)]
 struct Near<'a> {
     index: BlockIndex,
+    /// How many of its cells the surface passes.
+    cells: u32,
     blocks: [Option<&'a Block>; 27],
 }
 
@@ -52,6 +54,7 @@ impl<'a> Field<'a> {
                         (
                             Near {
                                 index,
+                                cells: octants.iter().map(|cells| cells.count_ones()).sum(),
                                 blocks: blocks(),
                             },
                             octants,
@@ -87,6 +90,11 @@ impl<'a> Field<'a> {
     /// The blocks with surface, sorted.
     pub(super) fn blocks(&self) -> impl ExactSizeIterator<Item = BlockIndex> {
         self.blocks.iter().map(|near| near.index)
+    }
+
+    /// The same blocks, each with the number of its cells that the surface passes.
+    pub(super) fn cells(&self) -> impl Iterator<Item = (BlockIndex, u32)> {
+        self.blocks.iter().map(|near| (near.index, near.cells))
     }
 
     /// Whether rays from this cell stay within what the tree can number.

@@ -15,16 +15,19 @@ const PITCH_RAD: f64 = 0.65;
 /// How far the view turns away from looking straight across the map's long side.
 const OBLIQUE_RAD: f64 = 0.45;
 
-/// The share of the surface's blocks beyond each side of the box that is shown: what lies far out is sparse.
+/// The share of the surface beyond each side of the box that is shown, at most: what lies far out is sparse.
 const BEYOND: f64 = 0.08;
 
-/// Regions that hold this many times fewer blocks of surface than most blocks' regions do are not dense.
-const DENSE: usize = 3;
+/// The share of the surface at each end that may be a thin tail.
+const TAIL: f64 = 0.15;
+
+/// Regions that hold this many times less surface than those of most of the surface are not dense.
+const DENSE: u64 = 2;
 
 /// The share of the image that stays free at its borders.
 const MARGIN: f64 = 0.04;
 
-/// The pose from which a camera sees the whole map across its long side; `None` for a map without surface.
+/// The pose from which a camera sees most of the map's surface across its long side; what is far out and sparse may lie outside of the picture. `None` for a map without surface.
 pub fn overview(renderer: &Renderer, camera: &Pinhole) -> Option<Pose> {
     turntable(renderer, camera, 1).pop()
 }
@@ -45,22 +48,67 @@ pub fn turntable(renderer: &Renderer, camera: &Pinhole, count: usize) -> Vec<Pos
     places.into_iter().map(pose).collect()
 }
 
-/// The blocks of the surface where it is dense: far from the sensor, single specks lie about.
-fn dense(renderer: &Renderer) -> Vec<BlockIndex> {
-    let mut blocks: Vec<BlockIndex> = renderer.surface_blocks().collect();
-    blocks.sort_unstable_by_key(|block| RegionIndex::of(*block));
-    let regions = || blocks.chunk_by(|a, b| RegionIndex::of(*a) == RegionIndex::of(*b));
-    // Half of all blocks lie in regions that hold as many blocks, or more.
-    let mut counts: Vec<usize> = regions()
-        .flat_map(|region| std::iter::repeat_n(region.len(), region.len()))
-        .collect();
-    counts.sort_unstable();
-    let median = counts.get(counts.len() / 2).copied().unwrap_or_default();
-    let kept = regions().filter(|region| DENSE * region.len() >= median);
+/// The blocks where the surface is dense, and how much of it each holds: far from the sensor, single specks and lines lie about.
+fn dense(renderer: &Renderer) -> Vec<(BlockIndex, u32)> {
+    let mut blocks: Vec<_> = renderer.surface().collect();
+    blocks.sort_unstable_by_key(|(block, _)| RegionIndex::of(*block));
+    let regions = || blocks.chunk_by(|(a, _), (b, _)| RegionIndex::of(*a) == RegionIndex::of(*b));
+    let held = |region: &[(BlockIndex, u32)]| region.iter().map(|(_, cells)| u64::from(*cells)).sum::<u64>();
+    // Half of the surface lies in regions that hold as much, or more.
+    let mut sums: Vec<u64> = regions().map(held).collect();
+    sums.sort_unstable();
+    let (mut below, all) = (0, sums.iter().sum::<u64>());
+    let median = sums.into_iter().find(|sum| {
+        below += sum;
+        2 * below >= all
+    });
+    let kept = regions().filter(|region| DENSE * held(region) >= median.unwrap_or_default());
     kept.flatten().copied().collect()
 }
 
-/// A box around nearly all of the surface, upright and turned along its longest extent.
+/// What lies where along an axis: values, sorted, with their weights.
+struct Spread {
+    values: Vec<(f64, u32)>,
+    weight: u64,
+}
+
+impl Spread {
+    fn new(mut values: Vec<(f64, u32)>) -> Self {
+        values.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let weight = values.iter().map(|(_, weight)| u64::from(*weight)).sum();
+        Self { values, weight }
+    }
+
+    /// The value below which this share of the weight lies.
+    fn at(&self, share: f64) -> f64 {
+        let wanted = share * self.weight as f64;
+        let mut below = 0;
+        let found = self.values.iter().find(|(_, weight)| {
+            below += u64::from(*weight);
+            below as f64 >= wanted
+        });
+        found.or(self.values.last()).map_or(0.0, |(value, _)| *value)
+    }
+
+    /// From where to where nearly all lies.
+    fn nearly_all(&self) -> (f64, f64) {
+        (self.at(BEYOND), self.at(1.0 - BEYOND))
+    }
+
+    /// As [`Self::nearly_all`], but no longer than the extent of evenly spread surface with the same quartiles: a thin tail is cut.
+    /// What lies in the middle ([`TAIL`]) is never cut.
+    fn most(&self) -> (f64, f64) {
+        let ((low, high), first, third) = (self.nearly_all(), self.at(0.25), self.at(0.75));
+        let (middle, half) = (0.5 * (first + third), third - first);
+        let even = (
+            (middle - half).min(self.at(TAIL)),
+            (middle + half).max(self.at(1.0 - TAIL)),
+        );
+        (low.max(even.0), high.min(even.1))
+    }
+}
+
+/// A box around most of the surface, upright and turned along its longest extent.
 struct Hull {
     center: DVec3,
     /// Half of its edges, along its own axes, metres.
@@ -73,27 +121,28 @@ impl Hull {
     fn of(renderer: &Renderer) -> Option<Self> {
         let grid = renderer.map().grid();
         let center = |block| grid.center(voxel_at(block, 0)) + 3.5 * grid.voxel_size_m();
-        let mut points: Vec<DVec3> = dense(renderer).into_iter().map(center).collect();
-        let first = *points.first()?;
+        let mut points: Vec<(DVec3, u32)> = dense(renderer)
+            .into_iter()
+            .map(|(block, cells)| (center(block), cells))
+            .collect();
+        let (first, _) = *points.first()?;
         // Relative to the first: covariances do not suffer from large coordinates.
-        points.iter_mut().for_each(|p| *p -= first);
-        let middle = points.iter().sum::<DVec3>() / points.len() as f64;
+        points.iter_mut().for_each(|(p, _)| *p -= first);
+        let weight: f64 = points.iter().map(|(_, cells)| f64::from(*cells)).sum();
+        let middle = points.iter().map(|(p, cells)| *p * f64::from(*cells)).sum::<DVec3>() / weight;
         let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-        for d in points.iter().map(|p| *p - middle) {
-            (xx, xy, yy) = (xx + d.x * d.x, xy + d.x * d.y, yy + d.y * d.y);
+        for (d, w) in points.iter().map(|(p, cells)| (*p - middle, f64::from(*cells))) {
+            (xx, xy, yy) = (xx + w * d.x * d.x, xy + w * d.x * d.y, yy + w * d.y * d.y);
         }
         let heading_rad = 0.5 * (2.0 * xy).atan2(xx - yy);
         let own_from_world = DQuat::from_rotation_z(-heading_rad);
         let block_m = 8.0 * grid.voxel_size_m();
-        let mut along = [0, 1, 2].map(|axis| {
-            let mut values: Vec<f64> = points.iter().map(|p| (own_from_world * *p)[axis]).collect();
-            values.sort_unstable_by(f64::total_cmp);
-            let beyond = (BEYOND * (values.len() - 1) as f64) as usize;
-            (values[beyond], values[values.len() - 1 - beyond])
-        });
-        along
-            .iter_mut()
-            .for_each(|(low, high)| (*low, *high) = (*low - 0.5 * block_m, *high + 0.5 * block_m));
+        let spread = |axis: usize| {
+            let own = points.iter().map(|(p, cells)| ((own_from_world * *p)[axis], *cells));
+            Spread::new(own.collect())
+        };
+        let along = [spread(0).most(), spread(1).most(), spread(2).nearly_all()];
+        let along = along.map(|(low, high)| (low - 0.5 * block_m, high + 0.5 * block_m));
         let low = DVec3::from(along.map(|(low, _)| low));
         let high = DVec3::from(along.map(|(_, high)| high));
         Some(Self {
@@ -131,5 +180,47 @@ impl Hull {
         let (left, by_width) = fit(1, camera.width, camera.fx);
         let (up, by_height) = fit(2, camera.height, camera.fy);
         DVec3::new(-by_width.max(by_height), left, up)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spread(values: impl IntoIterator<Item = (f64, u32)>) -> (f64, f64) {
+        Spread::new(values.into_iter().collect()).most()
+    }
+
+    #[test]
+    fn evenly_spread_surface_is_shown_and_a_thin_tail_is_cut() {
+        let even = || (0..1000).map(|i| (f64::from(i), 10));
+        let (low, high) = spread(even());
+        assert!(
+            (low - 79.0).abs() < 2.0 && (high - 919.0).abs() < 2.0,
+            "{low} to {high}"
+        );
+        // A tail with a tenth of all, far beyond: of it, the share alone would leave some.
+        let tail = || (0..1000).map(|i| (1000.0 + 10.0 * f64::from(i), 1));
+        let tailed = Spread::new(even().chain(tail()).collect());
+        assert!(tailed.nearly_all().1 > 2000.0);
+        let (low, high) = tailed.most();
+        assert!(
+            (low - 87.0).abs() < 2.0 && (1000.0..1100.0).contains(&high),
+            "{low} to {high}"
+        );
+        // The same mirrored.
+        let (other, one) = spread(even().chain(tail()).map(|(value, weight)| (-value, weight)));
+        assert!(
+            (one + low).abs() < 2.0 && (other + high).abs() < 2.0,
+            "{other} to {one}"
+        );
+    }
+
+    #[test]
+    fn what_is_heavy_at_one_place_does_not_hide_the_rest() {
+        // Three quarters of the surface are a wall at 0; the rest is a floor of 100 m.
+        let wall = [(0.0, 3000)];
+        let (low, high) = spread(wall.into_iter().chain((1..=100).map(|i| (f64::from(i), 10))));
+        assert_eq!((low, high), (0.0, 40.0));
     }
 }

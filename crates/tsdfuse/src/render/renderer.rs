@@ -93,6 +93,11 @@ impl<'a> Renderer<'a> {
         self.field.blocks()
     }
 
+    /// The same blocks, each with how much surface is in it: voxels that it passes.
+    pub(super) fn surface(&self) -> impl Iterator<Item = (BlockIndex, u32)> {
+        self.field.cells()
+    }
+
     /// The map.
     pub fn map(&self) -> &'a VoxelMap {
         self.map
