@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 use tsdfuse::{Pose, Scan};
-use tsdfuse_odometry::{OdometryConfig, Tracked, Tracker};
+use tsdfuse_odometry::{OdometryConfig, Refiner, Tracked, Tracker, common_shift};
 use tsdfuse_sim::{Simulator, SimulatorConfig, path, scene};
 
 fn drive(name: &str, way: &str, sensor: &str, scans: usize, motion: bool) -> Vec<Scan> {
@@ -151,5 +151,82 @@ fn an_endless_plain_is_not_pretended_to_be_known() {
         all[1..].iter().all(|t| t.quality.is_undetermined()),
         "{:?}",
         all[2].quality
+    );
+}
+
+/// A pose that is off by some 3 cm along each axis and 0.15° about each.
+fn rough(pose: Pose, seed: usize) -> Pose {
+    let noise = |k: usize| 2.0 * (((seed * 6 + k) * 7919 + 13) as f64 * 0.754_877_666).fract() - 1.0;
+    let three = |k: usize| DVec3::new(noise(k), noise(k + 1), noise(k + 2)) * 3.0_f64.sqrt();
+    Pose {
+        rotation: pose.rotation * glam::DQuat::from_scaled_axis(three(3) * 0.15_f64.to_radians()),
+        translation: pose.translation + three(0) * 0.03,
+    }
+}
+
+#[test]
+fn rough_poses_are_refined_to_millimetres() {
+    let scans = drive("street", "vehicle", "pandar64", 30, false);
+    let mut poses: Vec<Pose> = (0..)
+        .zip(&scans)
+        .map(|(i, scan)| rough(scan.pose.unwrap(), i))
+        .collect();
+    let off = |poses: &[Pose]| {
+        let truth = scans.iter().map(|scan| scan.pose.unwrap());
+        let shift = common_shift(&truth.clone().zip(poses.iter().copied()).collect::<Vec<_>>());
+        let errors = truth.zip(poses).map(|(want, got)| {
+            let got = shift * *got;
+            let turn = (want.rotation.conjugate() * got.rotation).to_scaled_axis().length();
+            [want.translation.distance(got.translation), turn.to_degrees()]
+        });
+        errors.reduce(|a, b| [a[0].max(b[0]), a[1].max(b[1])]).unwrap()
+    };
+    let [before, _] = off(&poses);
+    assert!(before > 0.04, "{before}");
+    for reach_m in [0.5, 0.2, 0.1, 0.1] {
+        let mut refiner = Refiner::new(OdometryConfig::default(), reach_m);
+        let placed = scans.iter().zip(&poses).map(|(scan, &pose)| Scan {
+            pose: Some(pose),
+            ..scan.clone()
+        });
+        let mut refined: Vec<_> = placed.flat_map(|scan| refiner.push(&scan)).collect();
+        refined.extend(refiner.finish());
+        poses = refined.into_iter().map(|refined| refined.unwrap().pose).collect();
+        assert_eq!(poses.len(), scans.len());
+    }
+    let [metres, degrees] = off(&poses);
+    assert!(metres < 0.012 && degrees < 0.03, "{metres} m {degrees} deg");
+}
+
+#[test]
+fn scans_without_poses_or_returns_pass_through_refinement() {
+    let mut scans = drive("street", "vehicle", "vlp16", 4, false);
+    scans[1].pose = None;
+    scans[2].keep_only(&[]);
+    let mut refiner = Refiner::new(OdometryConfig::default(), 0.3);
+    let mut refined: Vec<_> = scans.iter().flat_map(|scan| refiner.push(scan)).collect();
+    refined.extend(refiner.finish());
+    assert_eq!(refined.len(), 4);
+    assert!(refined[1].is_none());
+    assert_eq!(refined[2].as_ref().unwrap().pose, scans[2].pose.unwrap());
+}
+
+#[test]
+fn a_gap_a_doubled_scan_and_scans_out_of_order_break_nothing() {
+    let all = drive("street", "vehicle", "vlp16", 24, true);
+    // Scan 10 twice, 14 before 13, and half a second without scans.
+    let order = [
+        0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 10, 11, 12, 14, 13, 15, 16, 17, 21, 22, 23,
+    ];
+    let scans: Vec<Scan> = order.iter().map(|&i| all[i].clone()).collect();
+    let tracked = tracked(&scans);
+    assert_eq!(tracked.len(), scans.len());
+    let (metres, radians) = errors(&scans, &tracked, 0);
+    let doubts = tracked[1..]
+        .iter()
+        .any(|t| t.quality.is_unmatched() || t.quality.is_undetermined());
+    assert!(
+        (metres < 0.2 && radians < 0.02) || doubts,
+        "{metres} m {radians} rad, and no doubt is told"
     );
 }

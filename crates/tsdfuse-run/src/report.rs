@@ -142,14 +142,18 @@ pub struct OdometryReport {
 
 impl OdometryReport {
     /// Of scans that took so long; the first one is placed by no other.
-    pub fn of<'a>(seconds: f64, poses: &[FusedPose], qualities: impl Iterator<Item = &'a Quality> + Clone) -> Self {
-        let count = |is: fn(&Quality) -> bool| qualities.clone().skip(1).filter(|quality| is(quality)).count();
-        Self {
+    pub fn of<'a>(seconds: f64, poses: &[FusedPose], qualities: impl Iterator<Item = &'a Quality>) -> Self {
+        let mut report = Self {
             seconds,
             distance_m: length_m(poses.iter().map(|fused| &fused.pose)),
-            undetermined: count(Quality::is_undetermined),
-            unmatched: count(Quality::is_unmatched),
+            undetermined: 0,
+            unmatched: 0,
+        };
+        for quality in qualities.skip(1) {
+            report.undetermined += usize::from(quality.is_undetermined());
+            report.unmatched += usize::from(quality.is_unmatched());
         }
+        report
     }
 }
 
