@@ -162,7 +162,7 @@ pub(crate) fn parse_extrinsics(text: &str) -> Result<Pose, String> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
     match numbers.as_deref() {
         Some(&[x, y, z, qx, qy, qz, qw]) => {
-            Pose::new(DQuat::from_xyzw(qx, qy, qz, qw), DVec3::new(x, y, z)).map_err(|e| e.to_string())
+            Pose::new(DQuat::from_xyzw(qx, qy, qz, qw).normalize(), DVec3::new(x, y, z)).map_err(|e| e.to_string())
         }
         Some(_) => Err("seven numbers are wanted: x,y,z in metres and a quaternion qx,qy,qz,qw".to_owned()),
         None => match tsdfuse_io::poses::read_all(text).map_err(|e| e.to_string())?.as_slice() {

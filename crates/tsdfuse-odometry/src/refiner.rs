@@ -235,7 +235,10 @@ mod tests {
                 rotation: DQuat::from_rotation_z(0.05 * i as f64),
                 translation: DVec3::new(far + i as f64, 0.1 * (i * i) as f64, 0.0),
             };
-            let centre = Pose::from_translation(DVec3::X * far);
+            let centre = Pose {
+                translation: DVec3::X * far,
+                ..Pose::IDENTITY
+            };
             let by = centre * by * centre.inverse();
             let pairs: Vec<(Pose, Pose)> = (0..20).map(|i| (by * refined(i), refined(i))).collect();
             let found = common_shift(&pairs);
