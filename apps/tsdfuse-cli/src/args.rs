@@ -35,8 +35,9 @@ pub(crate) struct LogArgs {
     #[arg(long, value_name = "FROM..TO[:STEP]")]
     pub(crate) scans: Option<Selection>,
     /// Where poses come from: a file (KITTI or TUM text), a topic or frame of a ROS bag, the log, or odometry [default:
-    /// the log, or odometry if it has none].
-    #[arg(long, value_name = "FILE|NAME|log|track")]
+    /// the log, or odometry if it has none]. With refine (the log's) or refine:FILE, each scan is registered to what the
+    /// others saw.
+    #[arg(long, value_name = "FILE|NAME|log|track|refine")]
     pub(crate) poses: Option<PathBuf>,
     /// Where the sensor sits on the body whose poses are used: a file with the 3x4 matrix, or x,y,z,qx,qy,qz,qw (metres, quaternion)
     /// [default: as the log tells].

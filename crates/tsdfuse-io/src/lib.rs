@@ -30,6 +30,7 @@ mod placed;
 pub mod plain;
 pub mod ply;
 pub mod png;
+mod point_rows;
 pub mod poses;
 mod present;
 pub mod read_ahead;

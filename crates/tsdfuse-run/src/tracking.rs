@@ -85,7 +85,6 @@ impl Tracking {
 const REFINE_REACH_M: [f64; 6] = [0.5, 0.2, 0.1, 0.1, 0.1, 0.1];
 
 /// Refined poses, by the scans' numbers in the log.
-#[derive(Default)]
 pub(crate) struct Refinement {
     refined: HashMap<usize, Refined>,
     pub(crate) seconds: f64,
@@ -113,7 +112,6 @@ impl Refinement {
         let start = Instant::now();
         observer.on(Event::Working("refining the poses"));
         let mut refined: HashMap<usize, Refined> = HashMap::new();
-        let mut given: HashMap<usize, Pose> = HashMap::new();
         for reach_m in REFINE_REACH_M {
             let mut refiner = Refiner::new(config, reach_m);
             let mut waiting = VecDeque::new();
@@ -130,9 +128,6 @@ impl Refinement {
                 // A scan that cannot be read is told when it is fused.
                 let Ok(mut scan) = read.scan else { continue };
                 scan.drop_invalid(limits);
-                if let Some(pose) = scan.pose {
-                    given.insert(read.index, pose);
-                }
                 if let Some(refined) = refined.get(&read.index) {
                     refined.place(&mut scan);
                 }
@@ -140,11 +135,15 @@ impl Refinement {
                 take(&mut waiting, refiner.push(&scan));
             }
             take(&mut waiting, refiner.finish());
+            // A round that was stopped has not placed all: the last whole one is better.
+            if stop.is_stopped() && !refined.is_empty() {
+                break;
+            }
             refined = next;
         }
         let pairs = indices
             .iter()
-            .filter_map(|index| Some((given.get(index).copied()?, refined.get(index)?.pose)));
+            .filter_map(|index| Some((log.scans()[*index].pose?, refined.get(index)?.pose)));
         let shift = common_shift(&pairs.collect::<Vec<_>>());
         let refined = refined
             .into_iter()

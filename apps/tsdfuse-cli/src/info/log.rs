@@ -8,6 +8,7 @@ use indicatif::HumanCount;
 use serde::Serialize;
 use tsdfuse::scan::{Dropped, RangeLimits};
 use tsdfuse::sensor::Pinhole;
+use tsdfuse::trajectory::length_m;
 use tsdfuse::{Scan, SensorModel};
 use tsdfuse_io::{Log, OpenOptions, Recorded, ScanRef, Topic};
 use tsdfuse_run::report::counted;
@@ -176,14 +177,7 @@ impl Sample {
 }
 
 fn path_length_m(scans: &[ScanRef]) -> f64 {
-    let places = scans.iter().filter_map(|scan| Some(scan.pose?.translation));
-    // A sum of nothing is −0.
-    places
-        .clone()
-        .zip(places.skip(1))
-        .map(|(a, b)| a.distance(b))
-        .sum::<f64>()
-        + 0.0
+    length_m(scans.iter().filter_map(|scan| scan.pose.as_ref()))
 }
 
 fn duration_secs(scans: &[ScanRef]) -> Option<f64> {

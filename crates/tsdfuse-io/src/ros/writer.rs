@@ -11,6 +11,7 @@ use tsdfuse::{Pose, Scan};
 use super::schema::known;
 use crate::atomic::AtomicFile;
 use crate::error::{Error, Result};
+use crate::point_rows;
 use crate::source::Sensor;
 
 /// The frame in which the poses are.
@@ -186,52 +187,26 @@ impl Writer {
 
 fn cloud(scan: &Scan, time_ns: i64, frame: &str) -> Cdr {
     let count = scan.points.len();
-    let (f32s, u16s) = (7u8, 4u8);
-    let columns = [
-        ("x", f32s, true),
-        ("y", f32s, true),
-        ("z", f32s, true),
-        ("intensity", f32s, scan.intensities.is_some()),
-        ("time", f32s, scan.times.is_some()),
-        ("ring", u16s, scan.rings.is_some()),
-    ];
+    let columns = point_rows::columns(scan);
     let mut message = Cdr::new();
     message.header(time_ns, frame);
     message.u32(1);
     message.u32(count);
-    let there = columns.iter().filter(|(.., is_there)| *is_there);
-    message.u32(there.clone().count());
+    message.u32(columns.len());
     let mut stride = 0;
-    for (name, datatype, _) in there {
+    for (name, scalar) in &columns {
         message.text(name);
         message.u32(stride);
-        message.0.push(*datatype);
+        // PointField.FLOAT32 and .UINT16
+        message.0.push(if scalar.is_integer() { 4 } else { 7 });
         message.u32(1);
-        stride += if *datatype == f32s { 4 } else { 2 };
+        stride += scalar.size();
     }
     message.0.push(0);
     message.u32(stride);
     message.u32(stride * count);
     message.u32(stride * count);
-    message.0.reserve(stride * count + 1);
-    for (i, point) in scan.points.iter().enumerate() {
-        let bytes = &mut message.0;
-        bytes.extend(point.to_array().into_iter().flat_map(f32::to_le_bytes));
-        for column in [&scan.intensities, &scan.times] {
-            bytes.extend(
-                column
-                    .iter()
-                    .filter_map(|values| values.get(i))
-                    .flat_map(|v| v.to_le_bytes()),
-            );
-        }
-        bytes.extend(
-            scan.rings
-                .iter()
-                .filter_map(|rings| rings.get(i))
-                .flat_map(|v| v.to_le_bytes()),
-        );
-    }
+    point_rows::append(scan, &mut message.0);
     message.0.push(1);
     message
 }
