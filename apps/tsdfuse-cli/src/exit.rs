@@ -2,11 +2,12 @@
 
 use std::fmt::{self, Display};
 use std::io;
-use std::process::ExitCode;
 
 use anyhow::Result;
 use tsdfuse_run::{Device, RunError, Stop};
 
+#[cfg(all(unix, feature = "gpu"))]
+use crate::program;
 use crate::progress::say;
 
 /// What the exit codes mean, for `--help`.
@@ -44,16 +45,16 @@ impl Display for Usage {
 impl std::error::Error for Usage {}
 
 /// Reports what went wrong, if anything did, and gives the exit code.
-pub(crate) fn code(result: anyhow::Result<Outcome>) -> ExitCode {
+pub(crate) fn code(result: anyhow::Result<Outcome>) -> u8 {
     match result {
-        Ok(Outcome::Complete) => ExitCode::SUCCESS,
-        Ok(Outcome::ScansSkipped | Outcome::BlocksLost) => ExitCode::from(3),
+        Ok(Outcome::Complete) => 0,
+        Ok(Outcome::ScansSkipped | Outcome::BlocksLost) => 3,
         // Who closed the pipe knows.
-        Err(error) if is_broken_pipe(&error) => ExitCode::from(1),
+        Err(error) if is_broken_pipe(&error) => 1,
         Err(error) => {
             say(format_args!("tsdfuse: error: {}", one_line(&error)));
             let is_usage = error.is::<Usage>() || matches!(error.downcast_ref(), Some(RunError::Config(_)));
-            ExitCode::from(if is_usage { 2 } else { 1 })
+            if is_usage { 2 } else { 1 }
         }
     }
 }
@@ -87,26 +88,22 @@ pub(crate) fn quiet_gpu(device: &Device) {
     #[cfg(all(unix, feature = "gpu"))]
     if let (Device::Gpu(_), Some((name, value))) = (device, tsdfuse_gpu::quiet_variable()) {
         use std::os::unix::process::CommandExt;
-        if let Ok(program) = std::env::current_exe() {
-            let arguments = std::env::args_os().skip(1);
+        if let Ok(mut command) = program::again() {
             // It returns only if it fails; then there are some lines more.
-            let _ = std::process::Command::new(program)
-                .args(arguments)
-                .env(name, value)
-                .exec();
+            let _ = command.args(program::arguments()).env(name, value).exec();
         }
     }
     let _ = device;
 }
 
 /// Prints the help or version that was asked for, or says in one line what is wrong with the arguments.
-pub(crate) fn not_parsed(error: &clap::Error) -> ExitCode {
+pub(crate) fn not_parsed(error: &clap::Error) -> u8 {
     use clap::error::ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
     if !error.use_stderr() || error.kind() == DisplayHelpOnMissingArgumentOrSubcommand {
         let code = if error.use_stderr() { 2 } else { 0 };
         // A closed pipe is nobody's mistake.
         let _ = error.print();
-        return ExitCode::from(code);
+        return code;
     }
     let text = error.render().to_string();
     let told = text
@@ -115,7 +112,7 @@ pub(crate) fn not_parsed(error: &clap::Error) -> ExitCode {
         .filter(|line| !line.is_empty() && !line.starts_with("Usage:") && !line.starts_with("For more information"));
     let told: Vec<_> = told.collect();
     say(format_args!("tsdfuse: {}", told.join(" ")));
-    ExitCode::from(2)
+    2
 }
 
 /// An error and its causes.

@@ -8,11 +8,6 @@ use serde::Serialize;
 
 use crate::exit::Usage;
 
-/// The arguments as they were given, the program's name first.
-pub(crate) fn command_line() -> Vec<String> {
-    std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect()
-}
-
 /// Checks that a mesh for standard output (`-`) does not meet a report or a terminal there.
 pub(crate) fn check_terminal(mesh: &Path, json: bool) -> Result<(), Usage> {
     if mesh.as_os_str() != "-" {

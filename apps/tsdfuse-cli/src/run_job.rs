@@ -1,13 +1,14 @@
 //! `tsdfuse run-job`, hidden: runs one job in a process of its own, so that its memory is its own. The job comes from standard
 //! input as JSON, and its report, or why there is none, goes to standard output.
 
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use anyhow::{Context, Result, bail};
 use tsdfuse_run::{Job, Report, Silent, Stop};
 
 use crate::exit::{Outcome, one_line};
 use crate::output::print_json;
+use crate::program;
 
 pub(crate) fn run() -> Result<Outcome> {
     let job: Job = serde_json::from_reader(std::io::stdin().lock()).context("standard input is not a job")?;
@@ -22,8 +23,7 @@ pub(crate) fn in_own_process(threads: Option<u16>) -> impl FnMut(&Job) -> Result
 }
 
 fn start(job: &Job, threads: Option<u16>) -> Result<Result<Report, String>> {
-    let program = std::env::current_exe().context("this program's own file")?;
-    let mut command = Command::new(program);
+    let mut command = program::again().context("this program's own file")?;
     command.arg("run-job");
     command
         .stdin(Stdio::piped())

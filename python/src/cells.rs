@@ -1,0 +1,235 @@
+//! Cells: cubes of regions, which a map too large for one machine is divided into. Each is a file of its own.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use glam::IVec3;
+use pyo3::prelude::*;
+use rayon::prelude::*;
+use serde::Serialize;
+use tsdfuse::VoxelMap;
+use tsdfuse::index::{BlockIndex, Grid, RegionIndex};
+use tsdfuse_io::map_file;
+
+use crate::data::to_python;
+use crate::error::{OrRaise, wrong};
+use crate::map::Map;
+
+/// Blocks along the edge of a region, as a shift.
+const REGION_SHIFT: u32 = 3;
+
+/// Regions along the edge of the cubes that surfaces are extracted by: a cell is made of whole ones.
+const CUBE: i32 = 4;
+
+/// Checks the edge of a cell, in regions: of a power of two, so that its tiles end where it ends, at each level.
+fn check_edge(edge: i32) -> PyResult<()> {
+    if edge >= CUBE && edge.count_ones() == 1 {
+        return Ok(());
+    }
+    Err(wrong(format_args!(
+        "the edge of a cell must be {CUBE} regions or a larger power of two, not {edge}"
+    )))
+}
+
+/// The cell of a region.
+fn cell_of(RegionIndex(region): RegionIndex, edge: i32) -> IVec3 {
+    region.div_euclid(IVec3::splat(edge))
+}
+
+/// Ordered by z, then y, then x.
+fn key(cell: IVec3) -> [i32; 3] {
+    [cell.z, cell.y, cell.x]
+}
+
+/// The part of a map that a scan may change.
+#[pyclass(frozen, module = "tsdfuse")]
+pub(crate) struct Reach {
+    reach: tsdfuse::Reach,
+    grid: Grid,
+}
+
+impl Reach {
+    pub(crate) fn of(reach: tsdfuse::Reach, grid: Grid) -> Self {
+        Self { reach, grid }
+    }
+}
+
+#[pymethods]
+impl Reach {
+    /// The cells, of so many regions along each edge, that the scan may change.
+    fn cells(&self, py: Python<'_>, edge: i32) -> PyResult<Vec<[i32; 3]>> {
+        check_edge(edge)?;
+        Ok(py.detach(|| {
+            let edge_m = f64::from(edge << (2 * REGION_SHIFT)) * self.grid.voxel_size_m();
+            // More than the slack of any method.
+            let radius_m = 1.2 * f64::from(self.reach.farthest_m()) + 64.0 * self.grid.voxel_size_m() + 10.0;
+            let low = ((self.reach.center - radius_m) / edge_m).floor().as_ivec3();
+            let high = ((self.reach.center + radius_m) / edge_m).floor().as_ivec3();
+            let along = |low: i32, high: i32| low..=high;
+            let cells: Vec<IVec3> = along(low.z, high.z)
+                .flat_map(|z| along(low.y, high.y).map(move |y| (y, z)))
+                .flat_map(|(y, z)| along(low.x, high.x).map(move |x| IVec3::new(x, y, z)))
+                .collect();
+            let touched = |cell: &IVec3| {
+                let within = || 0..edge;
+                within().any(|z| {
+                    within().any(|y| {
+                        within().any(|x| {
+                            self.reach
+                                .touches(RegionIndex(*cell * edge + IVec3::new(x, y, z)), self.grid)
+                        })
+                    })
+                })
+            };
+            cells
+                .into_par_iter()
+                .filter(touched)
+                .map(|cell| cell.to_array())
+                .collect()
+        }))
+    }
+
+    /// The range of the farthest return, metres.
+    #[getter]
+    fn farthest(&self) -> f32 {
+        self.reach.farthest_m()
+    }
+}
+
+/// A cell that was written.
+#[derive(Debug, Serialize)]
+struct Written {
+    cell: [i32; 3],
+    path: PathBuf,
+    blocks: usize,
+}
+
+/// The blocks of a map that are wanted.
+fn part(map: &VoxelMap, regions: &[RegionIndex], wanted: impl Fn(BlockIndex) -> bool) -> PyResult<VoxelMap> {
+    let mut part = VoxelMap::new(*map.config()).or_raise()?;
+    part.set_integrations(map.integrations());
+    for &region in regions {
+        for (index, block) in map.blocks_of(region).filter(|(index, _)| wanted(*index)) {
+            part.insert_block(index, block.clone()).or_raise()?;
+        }
+    }
+    Ok(part)
+}
+
+fn write(map: &VoxelMap, path: &Path) -> PyResult<()> {
+    map_file::write(path, map).or_raise()
+}
+
+/// Writes a map cell by cell, `FOLDER/X_Y_Z.tsdf`; with `skin`, also the outermost blocks of each cell, `FOLDER/X_Y_Z.skin`, which its
+/// neighbours need for their meshes.
+#[pyfunction]
+#[pyo3(signature = (map, folder, edge, *, skin=false))]
+pub(crate) fn write_cells<'py>(
+    py: Python<'py>,
+    map: &Map,
+    folder: PathBuf,
+    edge: i32,
+    skin: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    check_edge(edge)?;
+    let written = py.detach(|| {
+        let content = map.read();
+        let map = &content.map;
+        let mut cells: BTreeMap<[i32; 3], (IVec3, Vec<RegionIndex>)> = BTreeMap::new();
+        for region in map.regions() {
+            let cell = cell_of(region, edge);
+            cells
+                .entry(key(cell))
+                .or_insert_with(|| (cell, Vec::new()))
+                .1
+                .push(region);
+        }
+        let of_cell = |(cell, regions): &(IVec3, Vec<RegionIndex>)| {
+            let path = folder.join(format!("{}_{}_{}.tsdf", cell.x, cell.y, cell.z));
+            let whole = part(map, regions, |_| true)?;
+            write(&whole, &path)?;
+            if skin {
+                let first = (*cell * edge) << REGION_SHIFT;
+                let last = first + (edge << REGION_SHIFT) - 1;
+                let is_outermost = |BlockIndex(b): BlockIndex| b.cmpeq(first).any() || b.cmpeq(last).any();
+                write(&part(map, regions, is_outermost)?, &path.with_extension("skin"))?;
+            }
+            Ok(Written {
+                cell: cell.to_array(),
+                blocks: whole.block_count(),
+                path,
+            })
+        };
+        let cells: Vec<_> = cells.into_values().collect();
+        cells.par_iter().map(of_cell).collect::<PyResult<Vec<_>>>()
+    })?;
+    to_python(py, &written)
+}
+
+#[cfg(feature = "tiles")]
+mod tiles {
+    use std::io;
+    use std::path::PathBuf;
+
+    use pyo3::prelude::*;
+    use tsdfuse::VoxelMap;
+    use tsdfuse::index::RegionIndex;
+    use tsdfuse::mesh::{MeshConfig, RegionSource, Surface};
+
+    use super::{cell_of, check_edge};
+    use crate::data::to_python;
+    use crate::error::OrRaise;
+    use crate::map::Map;
+
+    /// A cell, with the blocks around it: only its own regions have surface of their own.
+    #[derive(Debug)]
+    struct Cell<'a> {
+        map: &'a VoxelMap,
+        regions: Vec<RegionIndex>,
+    }
+
+    impl RegionSource for Cell<'_> {
+        fn map(&self) -> &VoxelMap {
+            self.map
+        }
+
+        fn regions(&self) -> Vec<RegionIndex> {
+            self.regions.clone()
+        }
+
+        fn load(&mut self, _: &[RegionIndex]) -> io::Result<bool> {
+            Ok(false)
+        }
+    }
+
+    #[pymethods]
+    impl Map {
+        /// Writes the surface of one cell as 3D Tiles; the map also holds the outermost blocks of the cells around it.
+        #[pyo3(signature = (cell, edge, path, *, min_weight=None))]
+        fn write_cell_tiles<'py>(
+            &self,
+            py: Python<'py>,
+            cell: [i32; 3],
+            edge: i32,
+            path: PathBuf,
+            min_weight: Option<f32>,
+        ) -> PyResult<Bound<'py, PyAny>> {
+            check_edge(edge)?;
+            let config = MeshConfig {
+                min_weight: min_weight.unwrap_or(MeshConfig::default().min_weight),
+            };
+            config.validate().or_raise()?;
+            let written = py.detach(|| {
+                let content = self.read();
+                let mut regions = content.map.regions();
+                regions.retain(|&region| cell_of(region, edge).to_array() == cell);
+                let source = Cell {
+                    map: &content.map,
+                    regions,
+                };
+                tsdfuse_tiles::write(&path, &mut Surface::new(source, &config)).or_raise()
+            })?;
+            to_python(py, &written)
+        }
+    }
+}

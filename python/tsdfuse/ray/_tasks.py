@@ -1,0 +1,183 @@
+"""What tasks do, on any node: plain functions of plain data. Each leaves files, and a record that says that it is done."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import tsdfuse
+from tsdfuse._core import write_cells
+
+from ._storage import Folder, fetched
+
+Task = dict[str, Any]
+Record = dict[str, Any]
+
+
+def named(cell: list[int]) -> str:
+    """The name of a cell, in file names."""
+    return "_".join(map(str, cell))
+
+
+def opened(job: Task, log: int) -> tsdfuse.Log:
+    """A log of a job."""
+    return tsdfuse.open(fetched(job["logs"][log]), **job["open"])
+
+
+def empty(job: Task) -> tsdfuse.Map:
+    """A map without scans, as all tasks begin with."""
+    return tsdfuse.Map(config=job["settings"], sensor=job["sensor"])
+
+
+def look(job: Task, task: Task) -> Record:
+    """What is in a log."""
+    log = opened(job, task["log"])
+    if bool((log.poses != log.poses).any()) and not job["skip_bad"]:
+        raise tsdfuse.FormatError(f"{job['logs'][task['log']]}: the poses of all scans must be known")
+    suggested = log.suggested.resolve()
+    told: Record = {"scans": len(log), "notes": log.notes, "suggested": {key: suggested[key] for key in ("method", "map")}}
+    # Of the first log: the sensor that its first scan tells, which all tasks must take it for.
+    told["sensor"] = log.guess_sensor() if task["log"] == 0 else None
+    return told
+
+
+def fuse_span(job: Task, task: Task) -> Record:
+    """Some scans, for methods that only add: the parts of cells that they make. Where memory ends, the map so far is written, and an
+    empty one begun: sums can be added later."""
+    begun = time.perf_counter()
+    work = Folder(job["work"])
+    parts: list[Record] = []
+    skipped: list[str] = []
+    made, fused, writing = empty(job), 0, 0.0
+
+    def write() -> None:
+        nonlocal made, writing
+        start = time.perf_counter()
+        with work.working() as folder:
+            for part in write_cells(made, folder, job["edge"]):
+                name = f"spans/{task['name']}/{len(parts):04}-{named(part['cell'])}.tsdf"
+                parts.append({"cell": part["cell"], **work.put(folder / f"{named(part['cell'])}.tsdf", name)})
+        made = empty(job)
+        writing += time.perf_counter() - start
+
+    for _, scan in scans(job, task["log"], task["scans"], skipped):
+        try:
+            made.fuse(scan)
+            fused += 1
+        except tsdfuse.BadScanError as error:
+            skip(job, skipped, error)
+        if made.memory_bytes > job["memory"]:
+            write()
+    write()
+    seconds = {"fuse": time.perf_counter() - begun - writing, "write": writing}
+    return {"parts": parts, "fused": fused, "skipped": skipped, "seconds": seconds}
+
+
+def skip(job: Task, skipped: list[str], error: Exception) -> None:
+    if not job["skip_bad"]:
+        raise error
+    skipped.append(str(error))
+
+
+def scans(job: Task, log: int, numbers: list[int], skipped: list[str]) -> Iterator[tuple[int, tsdfuse.Scan]]:
+    """Some scans of a log with their numbers, in order; those that cannot be read are noted."""
+    reading = opened(job, log).select(numbers)
+    for number in numbers:
+        try:
+            yield number, next(reading)
+        except (tsdfuse.Error, OSError) as error:
+            skip(job, skipped, error)
+
+
+def merge(job: Task, task: Task) -> Record:
+    """Parts of one cell, added; at the root of the tree, the cell as a whole."""
+    begun = time.perf_counter()
+    work, limited, reading = Folder(job["work"]), 0, 0
+    made = empty(job)
+    for part in task["parts"]:
+        with work.reading(part["name"], part["checksum"]) as path:
+            limited += made.merge(path)
+            reading += part["bytes"]
+    done = written(job, task, made)
+    return {**done, "limited": limited, "read": reading, "seconds": {"merge": time.perf_counter() - begun}}
+
+
+def written(job: Task, task: Task, made: tsdfuse.Map) -> Record:
+    """Writes the map of a cell, and what its neighbours need of it."""
+    work = Folder(job["work"])
+    cell = named(task["cell"])
+    with work.working() as folder:
+        if not task["whole"]:
+            made.save(folder / "part.tsdf")
+            return {"part": {"cell": task["cell"], **work.put(folder / "part.tsdf", task["into"])}}
+        cells = write_cells(made, folder, job["edge"], skin=True)
+        if not cells:  # all of it was erased again
+            return {"cell": None, "skin": None, "blocks": 0}
+        return {
+            "cell": work.put(folder / f"{cell}.tsdf", f"cells/{cell}.tsdf"),
+            "skin": work.put(folder / f"{cell}.skin", f"cells/{cell}.skin"),
+            "blocks": cells[0]["blocks"],
+        }
+
+
+def survey_span(job: Task, task: Task) -> Record:
+    """Which cells each of some scans may change, for methods that erase."""
+    begun = time.perf_counter()
+    asked = empty(job)
+    cells: dict[str, list[int]] = {}
+    skipped: list[str] = []
+    good: list[int] = []
+    for number, scan in scans(job, task["log"], task["scans"], skipped):
+        try:
+            reached = asked.reach(scan).cells(job["edge"])
+        except tsdfuse.BadScanError as error:
+            skip(job, skipped, error)
+            continue
+        good.append(number)
+        for cell in reached:
+            cells.setdefault(named(cell), []).append(number)
+    return {"cells": cells, "good": good, "skipped": skipped, "seconds": {"survey": time.perf_counter() - begun}}
+
+
+def fuse_cell(job: Task, task: Task) -> Record:
+    """All scans that reach a cell, in order and with their own numbers; what they change elsewhere is forgotten."""
+    begun = time.perf_counter()
+    made = empty(job)
+    first = [job["edge"] * x for x in task["cell"]]
+    end = [job["edge"] + x for x in first]
+    for part in task["scans"]:
+        # The number of a scan among all: those before it in this log, without those that were skipped, and those of the logs before.
+        at = dict(zip(part["scans"], part["numbers"]))
+        for number, scan in scans({**job, "skip_bad": False}, part["log"], part["scans"], []):
+            made.fuse(scan, number=at[number])
+            made.keep_regions(first, end)
+    fused = time.perf_counter() - begun
+    done = written(job, task, made)
+    seconds = {"fuse": fused, "write": time.perf_counter() - begun - fused}
+    return {**done, "fused": sum(len(part["scans"]) for part in task["scans"]), "seconds": seconds}
+
+
+def tile(job: Task, task: Task) -> Record:
+    """The surface of a cell as 3D Tiles, beside those of its neighbours."""
+    begun = time.perf_counter()
+    work, output = Folder(job["work"]), Folder(job["output"])
+    made, reading = empty(job), 0
+    for part in [task["whole"], *task["skins"]]:
+        with work.reading(part["name"], part["checksum"]) as path:
+            made.merge(path)
+            reading += part["bytes"]
+    name = named(task["cell"])
+    with output.working() as folder:
+        try:
+            found = made.write_cell_tiles(
+                task["cell"], job["edge"], folder / name / "tileset.json", min_weight=job["min_weight"]
+            )
+        except tsdfuse.EmptyResultError:
+            return {"root": None, "read": reading, "seconds": {"tile": time.perf_counter() - begun}}
+        tileset = json.loads((folder / name / "tileset.json").read_text())
+        output.put_all(folder / name, name)
+    root = tileset["root"]
+    told = {"box": root["boundingVolume"]["box"], "transform": root["transform"], "error": tileset["geometricError"]}
+    return {"root": told, "tiles": found, "read": reading, "seconds": {"tile": time.perf_counter() - begun}}
