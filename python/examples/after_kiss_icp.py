@@ -18,8 +18,9 @@ def main(log: str, output: str) -> None:
     for scan in tsdfuse.open(log):
         points = scan.points.astype(np.float64)
         times = np.zeros(len(points)) if scan.times is None else scan.times.astype(np.float64)
-        odometry.register_frame(points, times)
-        made.fuse(scan.with_pose(odometry.last_pose))
+        # What it returns is undistorted: as seen all at once from the pose that it found.
+        undistorted, _ = odometry.register_frame(points, times)
+        made.fuse(undistorted, odometry.last_pose)
     made.mesh().write(output)
     print(made)
 
