@@ -10,8 +10,7 @@ use tsdfuse_run::Device;
 use crate::args::{LogArgs, Memory};
 use crate::exit::{self, Outcome, Usage};
 use crate::measuring::{Bars, told};
-use crate::output::{print, print_json};
-use crate::program::command_line;
+use crate::output::{command_line, print, print_json};
 
 const EXAMPLES: &str = "\
 A run is what `tsdfuse fuse` does, from files to a mesh in a temporary file. Threads that fuse and threads that read ahead share \

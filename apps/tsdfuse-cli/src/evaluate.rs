@@ -13,8 +13,7 @@ use tsdfuse_io::DEPTH_CAMERA_TRUNCATION_M;
 use crate::args::{LogArgs, parse_triple};
 use crate::exit::Outcome;
 use crate::measuring::{Bars, told};
-use crate::output::{print, print_json};
-use crate::program::command_line;
+use crate::output::{command_line, print, print_json};
 use crate::progress::{note, say};
 use crate::run_job;
 

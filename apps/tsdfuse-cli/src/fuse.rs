@@ -12,7 +12,6 @@ use tsdfuse_run::{Device, Job, Outputs};
 use crate::args::{LogArgs, Memory, hold_out_range};
 use crate::exit::{self, Outcome};
 use crate::output;
-use crate::program;
 use crate::terminal::{self, Terminal};
 
 const EXAMPLES: &str = "\
@@ -126,7 +125,7 @@ impl Args {
             },
             ..Job::default()
         };
-        job.command_line = program::command_line();
+        job.command_line = output::command_line();
         job.config_file.clone_from(&self.log.config);
         Ok(job)
     }

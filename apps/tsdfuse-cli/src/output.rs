@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 
 use crate::exit::Usage;
+pub(crate) use crate::program::command_line;
 
 /// Checks that a mesh for standard output (`-`) does not meet a report or a terminal there.
 pub(crate) fn check_terminal(mesh: &Path, json: bool) -> Result<(), Usage> {

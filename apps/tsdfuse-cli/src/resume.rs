@@ -8,7 +8,6 @@ use tsdfuse_run::Job;
 use crate::exit::{self, Outcome};
 use crate::fuse;
 use crate::output;
-use crate::program;
 use crate::terminal::Terminal;
 
 const EXAMPLES: &str = "\
@@ -37,7 +36,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         .with_context(|| args.store.display().to_string())?;
     let (mut job, resumed) = Job::of_store(&store)?;
     job.store = Some(store);
-    job.command_line = program::command_line();
+    job.command_line = output::command_line();
     if let Some(output) = &args.output {
         output::check_terminal(output, args.json)?;
         job.outputs.mesh = Some(output.clone());
