@@ -10,7 +10,6 @@ use tsdfuse::Pose;
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::poses::{self, Poses};
 use tsdfuse_odometry::{OdometryConfig, Tracker};
-use tsdfuse_run::report::OdometryReport;
 use tsdfuse_run::{Event, Observer};
 
 use crate::arrays::{column, pose_arrays};
@@ -164,10 +163,8 @@ pub(crate) fn track(
             tsdfuse_run::track(&log.log, &selection, config.odometry, config.range, stop)
         };
         let tracked = tracked.or_raise()?;
-        let poses: Vec<_> = tracked.iter().map(|scan| scan.pose).collect();
-        let seconds = start.elapsed().as_secs_f64();
-        let report = OdometryReport::of(seconds, &poses, tracked.iter().map(|scan| &scan.quality));
-        Ok((tracked, report))
+        let report = tracked.report(start.elapsed().as_secs_f64());
+        Ok((tracked.scans, report))
     })?;
     let quality = serde_json::to_string(&serde_json::json!({ "report": report, "scans": tracked })).map_err(wrong)?;
     let poses = tracked.iter().map(|scan| (scan.pose.time_ns, scan.pose.pose)).collect();

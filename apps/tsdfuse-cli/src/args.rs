@@ -173,6 +173,19 @@ pub(crate) fn parse_extrinsics(text: &str) -> Result<Pose, String> {
     }
 }
 
+/// A pose that is roughly known: three numbers, four with the turn about the vertical axis in degrees, or as [`parse_extrinsics`].
+pub(crate) fn parse_rough_pose(text: &str) -> Result<Pose, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    let upright = |x, y, z, yaw: f64| {
+        Pose::new(DQuat::from_rotation_z(yaw.to_radians()), DVec3::new(x, y, z)).map_err(|e| e.to_string())
+    };
+    match numbers.as_deref() {
+        Some(&[x, y, z]) => upright(x, y, z, 0.0),
+        Some(&[x, y, z, yaw]) => upright(x, y, z, yaw),
+        _ => parse_extrinsics(text),
+    }
+}
+
 /// What `--hold-out` may be.
 pub(crate) fn hold_out_range() -> RangedI64ValueParser<u32> {
     clap::value_parser!(u32).range(2..)

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::ArgGroup;
 use clap::builder::PossibleValuesParser;
+use tsdfuse::Pose;
 use tsdfuse::fuse::Method;
 use tsdfuse_run::report::Report;
 use tsdfuse_run::{Device, Job, Outputs};
 
-use crate::args::{LogArgs, Memory, hold_out_range};
+use crate::args::{LogArgs, Memory, hold_out_range, parse_rough_pose};
 use crate::exit::{self, Outcome};
 use crate::output;
 use crate::terminal::{self, Terminal};
@@ -21,6 +22,7 @@ Examples:
   tsdfuse fuse pandaset/002 -o street.ply --mesh-every 10
   tsdfuse fuse pandaset/002 --save-map street.tsdf --scans 0..40
   tsdfuse fuse pandaset/002 --load-map street.tsdf -o street.ply --scans 40..80
+  tsdfuse fuse second-drive --load-map street.tsdf --initial-pose 12,3,0,90 -o both.ply
   tsdfuse fuse drive -o drive.ply --memory 2G --store drive.store
   tsdfuse fuse drive -o drive.ply --poses track --save-poses drive.tum
   tsdfuse fuse street -o street.ply --config run.toml --set raycast.distance=projective
@@ -44,6 +46,10 @@ pub(crate) struct Args {
     /// Continue a saved map, with its voxel size and truncation.
     #[arg(long, value_name = "FILE")]
     load_map: Option<PathBuf>,
+    /// About where in the saved map the first scan was taken, if the log has no poses: within some 3 m and 30° [default: sought
+    /// along the poses of the map's scans].
+    #[arg(long, value_name = "X,Y,Z[,YAW_DEG]|POSE", requires = "load_map", value_parser = parse_rough_pose, allow_hyphen_values = true)]
+    initial_pose: Option<Pose>,
     /// Limit the memory for blocks of the map (512M, 8G, ...); the rest is paged to a file. The map has the same bits.
     #[arg(long, value_name = "SIZE")]
     memory: Option<Memory>,
@@ -115,6 +121,7 @@ impl Args {
             store: self.store.clone(),
             commit_every: self.commit_every as usize,
             load_map: self.load_map.clone(),
+            initial_pose: self.initial_pose,
             outputs: Outputs {
                 mesh: self.output.clone(),
                 mesh_every: self.mesh_every.map(|every| every as usize),

@@ -20,7 +20,7 @@ Examples:
   tsdfuse odometry drive -o drive.tum --json
   tsdfuse fuse drive --poses drive.tum -o drive.ply
 
-The world is the sensor's frame at its first scan. A pose belongs to the time of its scan.";
+The world is the sensor's frame at its first scan; where the log has an IMU, it is levelled. A pose belongs to the time of its scan.";
 
 /// Find the poses of a log's scans by LiDAR odometry.
 #[derive(Debug, clap::Args)]
@@ -59,14 +59,15 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let stop = exit::stop_on_interrupt()?;
     let start = Instant::now();
     let (config, range) = (config.odometry, config.range);
-    let scans = if refines {
+    let found = if refines {
         refine(&log, &input.selection, config, range, &stop, &mut terminal)?
     } else {
         track(&log, &input.selection, config, range, &stop)?
     };
     let seconds = start.elapsed().as_secs_f64();
+    let report = found.report(seconds);
+    let scans = found.scans;
     let poses: Vec<_> = scans.iter().map(|scan| scan.pose).collect();
-    let report = OdometryReport::of(seconds, &poses, scans.iter().map(|scan| &scan.quality));
     write_poses(&args.output, &poses)?;
     say(format_args!(
         "{} scans over {:.1} m in {seconds:.2} s, {:.1} scans/s; poses in {}",

@@ -1,6 +1,7 @@
 //! What people see of a run: bars on a terminal, notes, and a few lines in the end.
 
 use indicatif::{BinaryBytes, HumanCount, ProgressBar};
+use tsdfuse::glam::DVec3;
 use tsdfuse_run::report::{
     FinishReport, MapReport, MeshReport, OdometryReport, Report, SavedMap, TilesReport, Totals, ViewReport,
 };
@@ -12,8 +13,10 @@ use crate::progress::{self, note, say};
 #[derive(Default)]
 pub(crate) struct Terminal {
     bar: Option<ProgressBar>,
-    /// Scans that were read but are neither fused nor skipped yet move the bar once.
     is_resumed: bool,
+    /// Where the sensor was last, and how far it has moved, metres.
+    here: Option<DVec3>,
+    driven_m: f64,
 }
 
 impl Terminal {
@@ -44,7 +47,18 @@ impl Observer for Terminal {
                 }
                 self.bar = Some(progress::scans("fusing", scans.map(|scans| scans.saturating_sub(done))));
             }
-            Event::ScanFused { .. } => self.bar.iter().for_each(|bar| bar.inc(1)),
+            Event::ScanRead { scan, .. } => {
+                let here = scan.pose.map(|pose| pose.translation);
+                self.driven_m += here.zip(self.here).map_or(0.0, |(here, last)| here.distance(last));
+                self.here = here.or(self.here);
+            }
+            Event::ScanFused { report, .. } => {
+                if let (Some(bar), Some(quality)) = (&self.bar, &report.odometry) {
+                    let matched = 100.0 * quality.matched;
+                    bar.set_message(format!("fusing, {:.0} m driven, {matched:.0} % matched", self.driven_m));
+                }
+                self.bar.iter().for_each(|bar| bar.inc(1));
+            }
             Event::ScanSkipped { skipped, .. } => {
                 self.bar.iter().for_each(|bar| bar.inc(1));
                 let (name, reason) = (&skipped.name, &skipped.reason);
@@ -85,8 +99,18 @@ pub(crate) fn doubts(report: &OdometryReport, scans: usize) {
     let OdometryReport {
         undetermined,
         unmatched,
+        pieces,
+        imu,
         ..
     } = report;
+    if *pieces > 1 {
+        say(format_args!(
+            "  note: the sensor was lost, and its way back was not found: the trajectory has {pieces} pieces, each of which begins where the motion before led"
+        ));
+    }
+    for note in imu.iter().flat_map(|imu| &imu.notes) {
+        say(format_args!("  note: {note}"));
+    }
     if *undetermined > 0 {
         say(format_args!(
             "  note: the returns of {undetermined} of {scans} scans do not tell the position along some direction (a tunnel, a plain); there the motion before goes on"
@@ -127,7 +151,9 @@ pub(crate) fn summarize(report: &Report) {
     }
     let (points, fused) = (HumanCount(sums.points), HumanCount(sums.fused));
     say(format_args!("  points   {fused} of {points} fused{}", sums.left_out()));
-    report.odometry.inspect(|odometry| self::odometry(odometry, *scans));
+    if let Some(odometry) = &report.odometry {
+        self::odometry(odometry, *scans);
+    }
     map(&report.map, report.peak_memory_bytes);
     let (saved, mesh) = (report.saved_map.as_ref(), report.mesh.as_ref());
     mesh.inspect(|report| self::mesh(report));

@@ -345,7 +345,7 @@ impl Cells {
         }
     }
 
-    /// Adds points that were seen when the sensor had moved by `driven` metres.
+    /// Adds points that were seen when the sensor had moved by `driven` metres; cells with points that were seen at infinity are never forgotten.
     pub(crate) fn add(&mut self, points: &[Seen], driven: f64) {
         self.change(points, 1.0, driven);
     }
@@ -444,7 +444,8 @@ impl Cells {
         let grid = self.grid;
         let is_kept = |cell: &Cell| {
             let limit = radius + grid.size(cell.level);
-            cell.seen_at >= seen_since && grid.centre(cell.key, cell.level).distance_squared(centre) < limit * limit
+            let is_near = || grid.centre(cell.key, cell.level).distance_squared(centre) < limit * limit;
+            cell.seen_at == f64::INFINITY || (cell.seen_at >= seen_since && is_near())
         };
         self.shards.par_iter_mut().for_each(|shard| shard.forget(is_kept));
     }

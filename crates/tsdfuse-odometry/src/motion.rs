@@ -80,6 +80,13 @@ impl Motion {
         self.poses[self.poses.len() - 1]
     }
 
+    /// The same after a motion of the world.
+    pub(crate) fn moved(&self, by: &Pose) -> Self {
+        Self {
+            poses: self.poses.iter().map(|pose| *by * *pose).collect(),
+        }
+    }
+
     /// The pose at a share of the sweep that is a whole number of steps.
     pub(crate) fn knot(&self, k: usize, knots: usize) -> Pose {
         let steps = self.poses.len() - 1;

@@ -11,6 +11,7 @@ use crate::cells::Cells;
 use crate::motion::{Motion, Twist, turn_of};
 use crate::register::{Prediction, register, six};
 use crate::sample::{Sampled, Sampling};
+use crate::systematic::ErrorSums;
 use crate::tracker::{LEAST_RETURNS, OdometryConfig, Quality};
 
 /// Scans that wait at most until those after them were seen, too.
@@ -123,6 +124,7 @@ pub struct Refiner {
     reach_m: f64,
     sampling: Sampling,
     cells: Cells,
+    errors: ErrorSums,
     waiting: VecDeque<Waiting>,
     here: Option<DVec3>,
     driven: f64,
@@ -138,6 +140,7 @@ impl Refiner {
             sampling: Sampling::new(config.returns),
             // What was added must be taken away again, so cells take any number of points.
             cells: Cells::new(config.cell_m, config.noise_m, f64::INFINITY),
+            errors: ErrorSums::default(),
             waiting: VecDeque::new(),
             here: None,
             driven: 0.0,
@@ -169,6 +172,11 @@ impl Refiner {
             refined.extend(self.next());
         }
         refined
+    }
+
+    /// What the scans so far say about systematic errors of the sensor.
+    pub fn errors(&self) -> &ErrorSums {
+        &self.errors
     }
 
     /// No more scans will come: the others come out.
@@ -204,6 +212,7 @@ impl Refiner {
             quality = Quality::of(&registered);
             if !quality.is_unmatched() {
                 motion = registered.motion;
+                self.errors.add(&self.cells, &sampled.sparse, &motion);
             }
             self.cells.add(&sampled.seen(&motion), driven);
         }

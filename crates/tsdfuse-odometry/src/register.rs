@@ -40,6 +40,8 @@ const MOST_PASSES: usize = 14;
 pub(crate) struct Return {
     pub(crate) point: Vec3,
     pub(crate) share: f32,
+    /// Of its beam, if that is known.
+    pub(crate) ring: Option<u16>,
 }
 
 /// What is known of a sweep's motion before its returns are looked at.
@@ -232,7 +234,7 @@ fn sum(
     let (pieces, placer) = (knots.saturating_sub(1).max(1), motion.placer());
     let part = |(returns, found): (&[Return], &mut [Found])| {
         let mut normal = Normal::new(pieces);
-        for (Return { point, share }, found) in returns.iter().zip(found) {
+        for (Return { point, share, .. }, found) in returns.iter().zip(found) {
             let x = placer.place(*point, *share);
             let Some((plane, r, variance)) = cells.plane_near(x, found) else {
                 continue;

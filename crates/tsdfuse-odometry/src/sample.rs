@@ -90,7 +90,11 @@ impl Sampling {
         let returns = scan.points.iter().enumerate();
         let returns = returns
             .filter(|(_, p)| p.is_finite() && **p != Vec3::ZERO)
-            .map(|(i, &point)| Return { point, share: share(i) });
+            .map(|(i, &point)| Return {
+                point,
+                share: share(i),
+                ring: scan.rings.as_ref().and_then(|rings| rings.get(i).copied()),
+            });
         let dense = thinned(&returns.collect::<Vec<_>>(), self.dense_m);
         let sparse = thinned(&dense, self.sparse_m);
         let ratio = sparse.len().max(1) as f32 / self.wanted as f32;

@@ -2,14 +2,16 @@
 
 use std::collections::VecDeque;
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
 use tsdfuse::trajectory::secs_between;
-use tsdfuse::{Pose, Scan};
+use tsdfuse::{ImuSample, Pose, Scan};
 
 use crate::along::Drift;
-use crate::cells::Cells;
+use crate::cells::{Cells, Seen};
+use crate::imu::{End, Foretold, ForetoldBy, ImuReport, Inertial};
+use crate::locate::{Search, locate};
 use crate::motion::{Motion, STEPS, repeated, turn_of};
 use crate::register::{Prediction, Registered, register};
 use crate::sample::{Sampled, Sampling};
@@ -22,6 +24,21 @@ const MOST_POINTS: f64 = 4000.0;
 
 /// How far a sensor may move in its first sweep along a direction that its returns do not tell, metres.
 const FIRST_VELOCITY: f64 = 1.0;
+
+/// Errors of accelerations and of changes of the rate of turn that are foretold from an inertial measurement unit, m/s² and rad/s².
+const FORETOLD: (f64, f64) = (1.0, 0.3);
+
+/// With an inertial measurement unit the first scans wait so long, seconds: meanwhile gravity becomes known.
+const LEVELLED_AFTER: f64 = 3.0;
+
+/// A sensor is lost where less than this share of the returns that lie where something was seen lies on it, or where fewer returns lie there at all.
+const LOST: (f64, f64) = (0.4, 0.15);
+
+/// Scans after a loss that look for the way back, and that wait for it.
+const LOOKED: usize = 20;
+
+/// From one of them to the next.
+const LOOK_EVERY: usize = 3;
 
 /// Options of the odometry. The defaults suit all rotating LiDARs, indoors and outdoors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,6 +58,8 @@ pub struct OdometryConfig {
     pub acceleration: f64,
     /// Most change of the rate of turn that is expected, rad/s².
     pub turn_acceleration: f64,
+    /// Whether an inertial measurement unit is used, where the log has one.
+    pub imu: bool,
 }
 
 impl Default for OdometryConfig {
@@ -53,6 +72,7 @@ impl Default for OdometryConfig {
             remember_m: 60.0,
             acceleration: 6.0,
             turn_acceleration: 6.0,
+            imu: true,
         }
     }
 }
@@ -117,10 +137,37 @@ impl Quality {
 /// A scan that was placed: its `pose` and `motion` are set.
 #[derive(Clone, Debug)]
 pub struct Tracked {
-    /// The scan.
+    /// The scan. Without a pose only if its place in a saved map was not found.
     pub scan: Scan,
     /// How well it was placed.
     pub quality: Quality,
+    /// The piece of the trajectory that it belongs to: 0 until the sensor is lost and does not find back. Between pieces nothing was registered:
+    /// a new one begins where the motion before leads.
+    pub piece: usize,
+}
+
+impl Tracked {
+    /// Moves the world.
+    fn moved(&mut self, by: &Pose) {
+        self.scan.pose = self.scan.pose.map(|pose| *by * pose);
+        for at in &mut self.scan.motion {
+            at.pose = *by * at.pose;
+        }
+        let worst = DVec3::from_array(self.quality.worst_direction);
+        self.quality.worst_direction = (by.rotation * worst).to_array();
+    }
+}
+
+/// A world that was seen before, in which the sensor looks for its place.
+struct Elsewhere {
+    cells: Cells,
+    search: Search,
+    /// Whether scans are placed nowhere else.
+    is_needed: bool,
+    /// Scans since the sensor was lost.
+    scans: usize,
+    /// The piece of the trajectory in it.
+    piece: usize,
 }
 
 /// The end of the last sweep.
@@ -132,20 +179,43 @@ struct Last {
     information: Matrix6<f64>,
     /// Sensor at the end of a second from sensor at its begin.
     velocity: Pose,
+    /// Of the sensor in the world, m/s.
+    world_velocity: DVec3,
     /// How sure the motion is along a direction about which the returns of this sweep told nothing or little.
     along: Option<Drift>,
     /// How far the prediction was off lately: metres, radians, for a sweep.
     innovation: (f64, f64),
 }
 
+impl Last {
+    fn end(&self) -> End {
+        End {
+            secs: self.end,
+            pose: self.motion.last(),
+            velocity: self.world_velocity,
+        }
+    }
+}
+
 /// Tracks one sensor.
 ///
-/// The world is the frame of the sensor at the begin of its first scan. The first scan comes out after the second went in, which tells how
-/// fast the sensor moved.
+/// The world is the frame of the sensor at the begin of its first scan; with an inertial measurement unit it is levelled: its z axis points
+/// upwards. The first scan comes out after the second went in, which tells how fast the sensor moved; with a unit, those of the first three seconds
+/// come out after it.
 pub struct Tracker {
     config: OdometryConfig,
     sampling: Sampling,
     cells: Cells,
+    imu: Inertial,
+    /// The world that scans come out in, from the one that they are tracked in; `None` until gravity is known.
+    levelled: Option<DQuat>,
+    elsewhere: Option<Elsewhere>,
+    piece: usize,
+    pieces: usize,
+    /// Where the first scan is put: the sensor's pose at its begin.
+    start: Pose,
+    /// Poses a metre apart, as far as the cells go back.
+    path: VecDeque<Pose>,
     first: Option<(Scan, Sampled)>,
     last: Option<Last>,
     ready: VecDeque<Tracked>,
@@ -161,6 +231,13 @@ impl Tracker {
             config,
             sampling: Sampling::new(config.returns),
             cells: Cells::new(config.cell_m, config.noise_m, MOST_POINTS),
+            imu: Inertial::new(),
+            levelled: None,
+            elsewhere: None,
+            piece: 0,
+            pieces: 1,
+            start: Pose::IDENTITY,
+            path: VecDeque::new(),
             first: None,
             last: None,
             ready: VecDeque::new(),
@@ -168,6 +245,46 @@ impl Tracker {
             here: DVec3::ZERO,
             driven: 0.0,
         }
+    }
+
+    /// A tracker in the world of a saved map, of whose surface points are given. It looks for the first scan's place in it; scans come out without
+    /// a pose until one is found. The map is never forgotten.
+    pub fn in_map(config: OdometryConfig, surface: impl IntoIterator<Item = DVec3>, search: Search) -> Self {
+        let mut this = Self::new(config);
+        let mut cells = Cells::new(config.cell_m, config.noise_m, MOST_POINTS);
+        // A surface was seen by many beams.
+        let seen = |at: DVec3| Seen {
+            at,
+            elevation: u64::MAX,
+        };
+        cells.add(&surface.into_iter().map(seen).collect::<Vec<_>>(), f64::INFINITY);
+        this.elsewhere = Some(Elsewhere {
+            cells,
+            search,
+            is_needed: true,
+            scans: 0,
+            piece: 0,
+        });
+        this.levelled = Some(DQuat::IDENTITY);
+        this
+    }
+
+    /// Pieces of the trajectory so far that have nothing to do with each other: one if the sensor was never lost.
+    pub fn pieces(&self) -> usize {
+        self.pieces
+    }
+
+    /// Takes samples of an inertial measurement unit, in the frame of the sensor and in the order of their times. Those that were measured
+    /// during a scan must come before it; all may come at once.
+    pub fn push_imu(&mut self, samples: impl IntoIterator<Item = ImuSample>) {
+        if self.config.imu {
+            self.imu.push(samples);
+        }
+    }
+
+    /// What was found out about the inertial measurement unit, if samples came.
+    pub fn imu(&self) -> Option<ImuReport> {
+        (!self.imu.is_empty()).then(|| self.imu.report())
     }
 
     /// Takes the next scan, without invalid returns; its own pose is not looked at.
@@ -179,7 +296,7 @@ impl Tracker {
         match (self.first.take(), self.last.is_some()) {
             (None, false) => self.first = Some((scan, sampled)),
             (Some(first), _) => self.begin(first, (scan, sampled)),
-            (None, true) => self.track(scan, &sampled),
+            (None, true) => self.track(scan, sampled),
         }
     }
 
@@ -187,15 +304,27 @@ impl Tracker {
     fn place_blind(&mut self, scan: Scan, sampled: &Sampled) {
         if let Some((first, _)) = self.first.take() {
             // Nothing is known of its motion, and it must not come out later than this one.
-            self.place(first, &Motion::still(Pose::IDENTITY), (0.0, 0.0), Quality::default());
+            match &self.elsewhere {
+                Some(Elsewhere { is_needed: true, .. }) => self.leave(first),
+                _ => self.place(first, &Motion::still(self.start), (0.0, 0.0), Quality::default()),
+            }
         }
         let motion = match &self.last {
             Some(last) => {
                 let secs = sampled.span.1 - sampled.span.0;
-                let begin = last.motion.last() * repeated(&last.velocity, self.gap(last, &scan, sampled));
-                moving(begin, &last.velocity, secs)
+                let gap = self.gap(last, &scan, sampled);
+                let foretold = self.foretold(last, gap, secs, scan.time_ns.is_some());
+                let used = self.imu.choose(foretold.each_ref().map(Option::as_ref));
+                let [steady, turned, forced] = foretold;
+                let used = match used {
+                    ForetoldBy::Motion => steady,
+                    ForetoldBy::Gyroscope => turned,
+                    ForetoldBy::Imu => forced,
+                };
+                used.map_or_else(|| Motion::still(last.motion.last()), |foretold| foretold.motion)
             }
-            None => Motion::still(Pose::IDENTITY),
+            None if self.elsewhere.as_ref().is_some_and(|elsewhere| elsewhere.is_needed) => return self.leave(scan),
+            None => Motion::still(self.start),
         };
         self.place(scan, &motion, sampled.span, Quality::default());
     }
@@ -208,16 +337,121 @@ impl Tracker {
         begin.map_or(usual, |begin| begin - last.end).clamp(0.0, 10.0)
     }
 
+    /// How the next sweep is foretold: by the motion before, by turns of the gyroscope, by all that the unit measures.
+    fn foretold(&self, last: &Last, gap: f64, secs: f64, is_timed: bool) -> [Option<Foretold>; 3] {
+        let begin = last.motion.last() * repeated(&last.velocity, gap);
+        let motion = moving(begin, &last.velocity, secs);
+        let velocity = motion.last().rotation * last.velocity.translation;
+        let by_imu = |is_forced| {
+            is_timed
+                .then(|| self.imu.foretell(&last.end(), gap, secs, is_forced))
+                .flatten()
+        };
+        [Some(Foretold { motion, velocity }), by_imu(false), by_imu(true)]
+    }
+
     /// The next scan that is placed.
     pub fn pop(&mut self) -> Option<Tracked> {
-        self.ready.pop_front()
+        let level = self
+            .levelled
+            .or_else(|| self.imu.is_empty().then_some(DQuat::IDENTITY))?;
+        let is_open = self.elsewhere.as_ref().is_some_and(|elsewhere| !elsewhere.is_needed);
+        if is_open && self.ready.front()?.piece == self.piece {
+            return None;
+        }
+        let mut tracked = self.ready.pop_front()?;
+        if level != DQuat::IDENTITY {
+            tracked.moved(&Pose {
+                rotation: level,
+                translation: DVec3::ZERO,
+            });
+        }
+        Some(tracked)
+    }
+
+    /// Levels the world, if gravity is known.
+    fn level(&mut self) {
+        if self.levelled.is_none() {
+            let turn = self.imu.up().map(|up| DQuat::from_rotation_arc(up, DVec3::Z));
+            self.levelled = Some(turn.unwrap_or(DQuat::IDENTITY));
+        }
     }
 
     /// No more scans will come: a single one comes out where it was measured.
     pub fn finish(&mut self) {
         if let Some((scan, _)) = self.first.take() {
-            self.place(scan, &Motion::still(Pose::IDENTITY), (0.0, 0.0), Quality::default());
+            match &self.elsewhere {
+                Some(Elsewhere { is_needed: true, .. }) => self.leave(scan),
+                _ => self.place(scan, &Motion::still(self.start), (0.0, 0.0), Quality::default()),
+            }
         }
+        self.elsewhere = None;
+        self.level();
+    }
+
+    /// Gives a scan back without a pose.
+    fn leave(&mut self, scan: Scan) {
+        self.ready.push_back(Tracked {
+            scan: Scan {
+                pose: None,
+                motion: Vec::new(),
+                ..scan
+            },
+            quality: Quality::default(),
+            piece: self.piece,
+        });
+    }
+
+    /// Looks for the sweep in the world that was seen before; what brings this one there.
+    fn look(&mut self, sampled: &Sampled, motion: &Motion) -> Option<Pose> {
+        let elsewhere = self.elsewhere.as_ref()?;
+        let found = locate(
+            &elsewhere.cells,
+            &sampled.sparse,
+            &sampled.dense,
+            motion,
+            &elsewhere.search,
+        )?;
+        Some(found.motion.first() * motion.first().inverse())
+    }
+
+    /// Goes on in the world that was seen before; the scans that wait come along.
+    fn go_back(&mut self, by: &Pose) {
+        let Some(elsewhere) = self.elsewhere.take() else { return };
+        for tracked in self.ready.iter_mut().filter(|tracked| tracked.piece == self.piece) {
+            tracked.moved(by);
+            tracked.piece = elsewhere.piece;
+        }
+        if !elsewhere.is_needed {
+            self.pieces -= 1;
+        }
+        (self.cells, self.piece) = (elsewhere.cells, elsewhere.piece);
+        self.imu.turn_world(by.rotation);
+    }
+
+    /// The sensor is lost: a new piece begins at a scan, where the motion before leads to.
+    fn lose(&mut self, scan: Scan, sampled: Sampled, begin: Pose) {
+        // Lost again before it found back: the world before the first loss is the one to look for.
+        if self.elsewhere.is_none() {
+            let cells = std::mem::replace(
+                &mut self.cells,
+                Cells::new(self.config.cell_m, self.config.noise_m, MOST_POINTS),
+            );
+            self.elsewhere = Some(Elsewhere {
+                cells,
+                search: Search {
+                    near: vec![begin],
+                    along: self.path.iter().copied().collect(),
+                },
+                is_needed: false,
+                scans: 0,
+                piece: self.piece,
+            });
+        }
+        self.piece = self.pieces;
+        self.pieces += 1;
+        self.start = begin;
+        self.first = Some((scan, sampled));
     }
 
     /// The first two scans: the motion between them is that within them. Found in turns.
@@ -232,11 +466,10 @@ impl Tracker {
         const TURNS: usize = 4;
         for turn in 0..TURNS {
             let secs = span(&first.1);
-            motions.0 = moving(Pose::IDENTITY, &velocity, secs);
+            motions.0 = moving(self.start, &velocity, secs);
             self.cells = Cells::new(self.config.cell_m, self.config.noise_m, MOST_POINTS);
-            (self.here, self.driven) = (DVec3::ZERO, 0.0);
-            self.see(&first.1, &motions.0);
-            let begin = repeated(&velocity, gap);
+            self.cells.add(&first.1.seen(&motions.0), self.driven);
+            let begin = self.start * repeated(&velocity, gap);
             let reach = if turn == 0 { 2.0 } else { 0.3 };
             // A car's speed, and a fast turn.
             let loose = Matrix6::from_diagonal(&[1.0, 1.0, 1.0, 10.0, 10.0, 10.0].into());
@@ -257,10 +490,26 @@ impl Tracker {
                     reach,
                 },
             );
-            velocity = repeated(&registered.motion.first(), 1.0 / gap);
+            velocity = repeated(&(self.start.inverse() * registered.motion.first()), 1.0 / gap);
             quality = Quality::of(&registered);
             (motions.1, end, is_weak) = (registered.motion, registered.end, registered.along.is_some());
         }
+        if self.elsewhere.is_some() {
+            match self.look(&second.1, &motions.1) {
+                Some(by) => {
+                    motions = (motions.0.moved(&by), motions.1.moved(&by));
+                    self.go_back(&by);
+                    self.cells.add(&first.1.seen(&motions.0), self.driven);
+                }
+                None if self.elsewhere.as_ref().is_some_and(|elsewhere| elsewhere.is_needed) => {
+                    self.leave(first.0);
+                    self.first = Some(second);
+                    return;
+                }
+                None => {}
+            }
+        }
+        self.here = motions.0.last().translation;
         self.place(first.0, &motions.0, first.1.span, Quality::default());
         self.see(&second.1, &motions.1);
         self.last = Some(Last {
@@ -268,62 +517,72 @@ impl Tracker {
             motion: motions.1.clone(),
             information: end,
             velocity,
+            world_velocity: motions.1.last().rotation * velocity.translation,
             along: is_weak.then(|| Drift::new(0.01, FIRST_VELOCITY)),
             innovation: (0.05, 0.01),
         });
         self.place(second.0, &motions.1, second.1.span, quality);
     }
 
-    fn track(&mut self, scan: Scan, sampled: &Sampled) {
+    fn track(&mut self, scan: Scan, sampled: Sampled) {
         let Some(last) = self.last.take() else { return };
         let secs = sampled.span.1 - sampled.span.0;
         let begin_at = scan.time_ns.map(|t| secs_between(0, t) + sampled.span.0);
-        let gap = self.gap(&last, &scan, sampled);
-        let begin = last.motion.last() * repeated(&last.velocity, gap);
+        let gap = self.gap(&last, &scan, &sampled);
+        let foretold = self.foretold(&last, gap, secs, begin_at.is_some());
+        let ways = foretold.each_ref().map(Option::as_ref);
+        let used = self.imu.choose(ways);
+        let [Some(steady), ..] = ways else { return };
         // From rest to rest of the sweeps' begins.
         let step = (gap + secs).max(1e-3);
-        let usual = 0.5 * step * step;
         // Without times any distance may lie between two scans.
-        let usual = if begin_at.is_some() { usual } else { 10.0 * usual };
-        let own = (self.config.acceleration * usual, self.config.turn_acceleration * usual);
-        let expected = (
-            (2.0 * last.innovation.0).clamp(0.1 * own.0, own.0.max(0.02)),
-            (2.0 * last.innovation.1).clamp(0.1 * own.1, own.1.max(0.004)),
-        );
-        let spread = |information: Matrix6<f64>, (shift, turn): (f64, f64)| {
-            let added = Matrix6::from_diagonal(&[shift, shift, shift, turn, turn, turn].map(|s| s * s).into());
-            let covariance = information
-                .cholesky()
-                .map(|c| c.inverse())
-                .unwrap_or_else(Matrix6::identity);
-            (covariance + added)
-                .cholesky()
-                .map_or_else(Matrix6::identity, |c| c.inverse())
-        };
+        let usual = 0.5 * step * step * if begin_at.is_some() { 1.0 } else { 10.0 };
         let slack = if gap > 0.02 * step { (gap / step).min(1.0) } else { 0.02 };
-        let information = spread(last.information, (0.002 + slack * own.0, 0.0005 + slack * own.1));
-        let prediction = Prediction {
-            motion: moving(begin, &last.velocity, secs),
-            begin: information,
-            step_sigma: expected,
-            most: (own.0.max(0.02), own.1.max(0.004)),
-            is_followed: true,
-            along: last.along.map(|drift| drift.next(gap / secs.max(0.01), 2.0 * own.0)),
-            reach: (4.0 * last.innovation.0 + 20.0 * last.innovation.1).clamp(0.05, 1.0),
+        let prediction = |foretold: &Foretold, used: ForetoldBy| {
+            let unforeseen = (self.config.acceleration, self.config.turn_acceleration);
+            // Changes of the velocity and of the rate of turn, and how far a sweep is off at most at least.
+            let (by_shift, by_turn, least) = match used {
+                ForetoldBy::Motion => (unforeseen.0, unforeseen.1, (0.02, 0.004)),
+                ForetoldBy::Gyroscope => (unforeseen.0, FORETOLD.1, (0.02, 0.001)),
+                ForetoldBy::Imu => (FORETOLD.0, FORETOLD.1, (0.003, 0.001)),
+            };
+            let own = (by_shift * usual, by_turn * usual);
+            let most = (own.0.max(least.0), own.1.max(least.1));
+            Prediction {
+                motion: foretold.motion.clone(),
+                begin: spread(last.information, (0.002 + slack * own.0, 0.0005 + slack * own.1)),
+                step_sigma: (
+                    (2.0 * last.innovation.0).clamp(0.1 * own.0, most.0),
+                    (2.0 * last.innovation.1).clamp(0.1 * own.1, most.1),
+                ),
+                most,
+                is_followed: true,
+                along: last.along.map(|drift| drift.next(gap / secs.max(0.01), 2.0 * own.0)),
+                reach: (4.0 * last.innovation.0 + 20.0 * last.innovation.1).clamp(0.05, 1.0),
+            }
         };
-        let mut registered = register(&self.cells, &sampled.sparse, &sampled.dense, &prediction);
+        let mut foretold_by = ways[used as usize].unwrap_or(steady);
+        let mut predicted = prediction(foretold_by, used);
+        let mut registered = register(&self.cells, &sampled.sparse, &sampled.dense, &predicted);
         if registered.matched < 0.5 * registered.covered {
+            // The unit may be wrong, too.
             let wide = Prediction {
                 reach: 2.0,
-                ..prediction.clone()
+                ..prediction(steady, ForetoldBy::Motion)
             };
             let again = register(&self.cells, &sampled.sparse, &sampled.dense, &wide);
             if again.matched > registered.matched {
-                registered = again;
+                (registered, predicted, foretold_by) = (again, wide, steady);
             }
         }
+        let (least, covered) = LOST;
+        if registered.matched < least * registered.covered || registered.covered < covered {
+            let begin = predicted.motion.first();
+            return self.lose(scan, sampled, begin);
+        }
+        let sampled = &sampled;
         let motion = registered.motion.clone();
-        let off = prediction.motion.last().inverse() * motion.last();
+        let off = predicted.motion.last().inverse() * motion.last();
         let innovation = (off.translation.length(), turn_of(off.rotation).length());
         let calm = |old: f64, new: f64| {
             if new > old {
@@ -338,9 +597,45 @@ impl Tracker {
         } else {
             repeated(&moved, 1.0 / gap.max(1e-3))
         };
+        // What registration moved, it moved faster than was foretold.
+        let half = if secs > 0.0 { 0.5 * secs } else { gap.max(1e-3) };
+        let moved_by = |motion: &Motion| match secs > 0.0 {
+            true => motion.last().translation - motion.knot(1, 3).translation,
+            false => motion.last().translation,
+        };
+        let world_velocity = foretold_by.velocity + (moved_by(&motion) - moved_by(&foretold_by.motion)) / half;
+        let end = End {
+            secs: begin_at.unwrap_or(last.end + gap) + secs,
+            pose: motion.last(),
+            velocity: world_velocity,
+        };
+        if begin_at.is_some() {
+            self.imu
+                .learn(&last.end(), &end, secs, ways, used, registered.along.is_none());
+        }
+        let is_looking = self.elsewhere.as_mut().is_some_and(|elsewhere| {
+            elsewhere.scans += 1;
+            elsewhere.scans.is_multiple_of(LOOK_EVERY)
+        });
+        let back = is_looking.then(|| self.look(sampled, &motion)).flatten();
+        let (motion, world_velocity) = match back {
+            Some(by) => {
+                self.go_back(&by);
+                (motion.moved(&by), by.rotation * world_velocity)
+            }
+            None => (motion, world_velocity),
+        };
+        if self
+            .elsewhere
+            .as_ref()
+            .is_some_and(|elsewhere| elsewhere.scans >= LOOKED)
+        {
+            self.elsewhere = None;
+        }
         self.see(sampled, &motion);
         self.last = Some(Last {
-            end: begin_at.unwrap_or(last.end + gap) + secs,
+            end: end.secs,
+            world_velocity,
             information: registered.end,
             along: registered.along,
             velocity,
@@ -358,6 +653,13 @@ impl Tracker {
     fn see(&mut self, sampled: &Sampled, motion: &Motion) {
         self.driven += motion.last().translation.distance(self.here);
         self.here = motion.last().translation;
+        let is_far = |last: &Pose| last.translation.distance(self.here) > 1.0;
+        if self.path.back().is_none_or(is_far) {
+            self.path.push_back(motion.last());
+        }
+        while self.path.len() as f64 > self.config.remember_m {
+            self.path.pop_front();
+        }
         self.cells.add(&sampled.seen(motion), self.driven);
         let here = motion.last().translation;
         if self.driven - self.forgotten_at > 0.05 * self.config.remember_m {
@@ -371,7 +673,17 @@ impl Tracker {
     fn place(&mut self, mut scan: Scan, motion: &Motion, span: (f64, f64), quality: Quality) {
         let (pose, motion) = motion.around_scan(span);
         (scan.pose, scan.motion) = (Some(pose), motion);
-        self.ready.push_back(Tracked { scan, quality });
+        let time_ns = scan.time_ns;
+        self.ready.push_back(Tracked {
+            scan,
+            quality,
+            piece: self.piece,
+        });
+        let first = self.ready.front().and_then(|tracked| tracked.scan.time_ns);
+        let waited = first.zip(time_ns).map(|(first, last)| secs_between(first, last));
+        if waited.is_none_or(|secs| secs >= LEVELLED_AFTER) {
+            self.level();
+        }
     }
 
     /// Cells that are remembered, of all sizes.
@@ -387,6 +699,15 @@ fn moving(begin: Pose, velocity: &Pose, secs: f64) -> Motion {
     } else {
         Motion::still(begin)
     }
+}
+
+/// Information of which some standard deviations, metres and radians, were lost.
+fn spread(information: Matrix6<f64>, (shift, turn): (f64, f64)) -> Matrix6<f64> {
+    let added = Matrix6::from_diagonal(&[shift, shift, shift, turn, turn, turn].map(|s| s * s).into());
+    let covariance = information.cholesky().map_or_else(Matrix6::identity, |c| c.inverse());
+    (covariance + added)
+        .cholesky()
+        .map_or_else(Matrix6::identity, |c| c.inverse())
 }
 
 fn step_secs(first: &(Scan, Sampled), second: &(Scan, Sampled)) -> f64 {

@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used)]
 
 use glam::DVec3;
-use tsdfuse::{Pose, Scan};
-use tsdfuse_odometry::{OdometryConfig, Refiner, Tracked, Tracker, common_shift};
+use tsdfuse::{ImuSample, Pose, Scan};
+use tsdfuse_odometry::{OdometryConfig, Refiner, Search, Tracked, Tracker, common_shift};
 use tsdfuse_sim::{Simulator, SimulatorConfig, path, scene};
 
 fn drive(name: &str, way: &str, sensor: &str, scans: usize, motion: bool) -> Vec<Scan> {
@@ -19,7 +19,10 @@ fn drive(name: &str, way: &str, sensor: &str, scans: usize, motion: bool) -> Vec
 
 /// The scans as a sensor without poses gives them.
 fn tracked(scans: &[Scan]) -> Vec<Tracked> {
-    let mut tracker = Tracker::new(OdometryConfig::default());
+    tracked_by(Tracker::new(OdometryConfig::default()), scans)
+}
+
+fn tracked_by(mut tracker: Tracker, scans: &[Scan]) -> Vec<Tracked> {
     let mut all = Vec::new();
     for scan in scans {
         let mut scan = scan.clone();
@@ -229,4 +232,126 @@ fn a_gap_a_doubled_scan_and_scans_out_of_order_break_nothing() {
         (metres < 0.2 && radians < 0.02) || doubts,
         "{metres} m {radians} rad, and no doubt is told"
     );
+}
+
+/// What a unit in the sensor's frame measures each 5 ms of a drive: between the sweeps' poses, the sensor moves steadily.
+fn imu(scans: &[Scan]) -> Vec<ImuSample> {
+    let pose = |t: f64| {
+        let (i, share) = ((10.0 * t) as usize, 10.0 * t % 1.0);
+        let at = |i: usize| scans[i.min(scans.len() - 1)].pose.unwrap();
+        (at(i), at(i + 1), share)
+    };
+    let position = |t: f64| {
+        let (a, b, share) = pose(t);
+        a.translation.lerp(b.translation, share)
+    };
+    let begin = scans[0].time_ns.unwrap();
+    (2..20 * (scans.len() - 1) - 2)
+        .map(|i| {
+            let (t, h) = (0.005 * i as f64, 0.005);
+            let (a, b, share) = pose(t);
+            let acceleration = (position(t - h) - 2.0 * position(t) + position(t + h)) / (h * h);
+            let rotation = a.rotation.slerp(b.rotation, share);
+            ImuSample {
+                time_ns: begin + 5_000_000 * i as i64,
+                angular_velocity: (a.rotation.conjugate() * b.rotation).to_scaled_axis() * 10.0,
+                acceleration: rotation.conjugate() * (acceleration + DVec3::Z * 9.806_65),
+                orientation: None,
+            }
+        })
+        .collect()
+}
+
+#[test]
+fn gravity_levels_the_world_of_a_tilted_sensor() {
+    let mut scans = drive("street", "vehicle", "vlp16", 25, true);
+    let mut samples = imu(&scans);
+    let tilt = glam::DQuat::from_euler(glam::EulerRot::ZYX, 0.4, 0.3, -0.2);
+    for scan in &mut scans {
+        for p in &mut scan.points {
+            *p = (tilt * p.as_dvec3()).as_vec3();
+        }
+        let tilted = Pose {
+            rotation: tilt.conjugate(),
+            ..Pose::IDENTITY
+        };
+        scan.pose = scan.pose.map(|pose| pose * tilted);
+    }
+    for sample in &mut samples {
+        sample.angular_velocity = tilt * sample.angular_velocity;
+        sample.acceleration = tilt * sample.acceleration;
+    }
+    let mut tracker = Tracker::new(OdometryConfig::default());
+    tracker.push_imu(samples);
+    let all = tracked_by(tracker, &scans);
+    assert_eq!(all.len(), scans.len());
+    let (metres, radians) = errors(&scans, &all, 0);
+    assert!(metres < 0.12 && radians < 0.01, "{metres} m {radians} rad");
+    for (scan, tracked) in scans.iter().zip(&all) {
+        // Upwards in the sensor's frame, put into the world.
+        let up = scan.pose.unwrap().rotation.conjugate() * DVec3::Z;
+        let up = tracked.scan.pose.unwrap().rotation * up;
+        assert!(up.angle_between(DVec3::Z).to_degrees() < 1.5, "{up}");
+    }
+}
+
+#[test]
+fn a_sensor_that_was_carried_away_begins_a_new_piece_and_finds_back() {
+    let street = drive("street", "vehicle", "vlp16", 30, true);
+    let hall = drive("hall", "drone", "vlp16", 12, true);
+    let mut scans: Vec<Scan> = street[..14].to_vec();
+    scans.extend_from_slice(&hall[..8]);
+    scans.extend_from_slice(&street[8..24]);
+    let begin = scans[0].time_ns.unwrap();
+    for (i, scan) in scans.iter_mut().enumerate() {
+        scan.time_ns = Some(begin + 100_000_000 * i as i64);
+    }
+    let all = tracked(&scans);
+    assert_eq!(all.len(), scans.len());
+    let pieces: Vec<usize> = all.iter().map(|tracked| tracked.piece).collect();
+    assert!(pieces[..14].iter().all(|piece| *piece == 0), "{pieces:?}");
+    assert!(pieces[14..20].iter().all(|piece| *piece != 0), "{pieces:?}");
+    assert!(pieces[26..].iter().all(|piece| *piece == 0), "{pieces:?}");
+    let (metres, radians) = errors(&scans[26..], &all[26..], 0);
+    assert!(metres < 0.08 && radians < 0.008, "{metres} m {radians} rad");
+    let from_first = |scans: &[Scan], i: usize| scans[0].pose.unwrap().inverse() * scans[i].pose.unwrap();
+    let got: Vec<Scan> = all.iter().map(|tracked| tracked.scan.clone()).collect();
+    let off = from_first(&scans, 37).translation - from_first(&got, 37).translation;
+    assert!(off.length() < 0.1, "{off}");
+}
+
+#[test]
+fn a_place_in_a_map_is_found_near_a_pose_along_a_trajectory_and_nowhere_else() {
+    let scans = drive("street", "vehicle", "vlp16", 30, false);
+    let surface: Vec<DVec3> = scans[..24]
+        .iter()
+        .flat_map(|scan| scan.points_in_world().unwrap())
+        .collect();
+    let poses: Vec<Pose> = scans[..24].iter().map(|scan| scan.pose.unwrap()).collect();
+    let rough = Pose {
+        rotation: poses[12].rotation * glam::DQuat::from_rotation_z(0.35),
+        translation: poses[12].translation + DVec3::new(1.5, -1.2, 0.3),
+    };
+    let near = Search {
+        near: vec![rough],
+        ..Search::default()
+    };
+    let along = Search {
+        along: poses,
+        ..Search::default()
+    };
+    for search in [near, along.clone()] {
+        let tracker = Tracker::in_map(OdometryConfig::default(), surface.iter().copied(), search);
+        let all = tracked_by(tracker, &scans[12..]);
+        for (scan, tracked) in scans[12..].iter().zip(&all) {
+            let (want, got) = (scan.pose.unwrap(), tracked.scan.pose.unwrap());
+            let metres = want.translation.distance(got.translation);
+            assert!(metres < 0.06, "{}: {metres} m", scan.name);
+        }
+    }
+    let elsewhere = drive("hall", "drone", "vlp16", 4, false);
+    let tracker = Tracker::in_map(OdometryConfig::default(), surface, along);
+    let all = tracked_by(tracker, &elsewhere);
+    assert_eq!(all.len(), 4);
+    assert!(all.iter().all(|tracked| tracked.scan.pose.is_none()));
 }

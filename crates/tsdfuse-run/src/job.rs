@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use tsdfuse::Pose;
 use tsdfuse_io::{Log, OpenOptions, Selection};
 
 use crate::device::Device;
@@ -114,8 +115,10 @@ pub struct Job {
     pub store: Option<PathBuf>,
     /// Scans from commit to commit of the store.
     pub commit_every: usize,
-    /// A saved map to continue.
+    /// A saved map to continue. Odometry looks for the log's place in it.
     pub load_map: Option<PathBuf>,
+    /// About where in the saved map the first scan was taken, `world_from_sensor`.
+    pub initial_pose: Option<Pose>,
     /// The file that some of the settings were read from, which no output may overwrite.
     pub config_file: Option<PathBuf>,
     /// The files to make.

@@ -53,9 +53,9 @@ pub use report::Report;
 pub use run::Resumed;
 pub use session::Session;
 pub use settings::Settings;
-pub use setup::Setup;
-pub use tracking::{PosesFrom, TrackedScan, refine, track, write_poses};
-pub use tsdfuse_odometry::{OdometryConfig, Quality};
+pub use setup::{Placing, Setup};
+pub use tracking::{PosesFrom, Track, TrackedScan, refine, track, write_poses};
+pub use tsdfuse_odometry::{ImuReport, OdometryConfig, Quality};
 
 /// The examples of the README, compiled.
 #[cfg(doctest)]

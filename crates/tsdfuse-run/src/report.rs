@@ -12,7 +12,7 @@ use tsdfuse::trajectory::length_m;
 use tsdfuse::{SensorModel, VoxelMap};
 use tsdfuse_io::Sensor;
 use tsdfuse_io::map_file::FusedPose;
-use tsdfuse_odometry::Quality;
+use tsdfuse_odometry::{ImuReport, Quality};
 use tsdfuse_store::PagedMap;
 
 use crate::config::RunConfig;
@@ -128,7 +128,7 @@ pub struct ScanReport {
 }
 
 /// What odometry did.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct OdometryReport {
     /// Seconds that it took.
     pub seconds: f64,
@@ -138,6 +138,12 @@ pub struct OdometryReport {
     pub undetermined: usize,
     /// Scans of which most returns do not lie on what was seen before: the trajectory may be broken there.
     pub unmatched: usize,
+    /// Pieces of the trajectory that have nothing to do with each other: one if the sensor was never lost.
+    #[serde(default)]
+    pub pieces: usize,
+    /// What was found out about the log's IMU, if it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imu: Option<ImuReport>,
 }
 
 impl OdometryReport {
@@ -148,6 +154,8 @@ impl OdometryReport {
             distance_m: length_m(poses.iter().map(|fused| &fused.pose)),
             undetermined: 0,
             unmatched: 0,
+            pieces: 1,
+            imu: None,
         };
         for quality in qualities.skip(1) {
             report.undetermined += usize::from(quality.is_undetermined());

@@ -14,7 +14,7 @@ use crate::load::Loading;
 use crate::machine::peak_memory_bytes;
 use crate::report::{GrowthReport, LogReport, Report};
 use crate::session::Session;
-use crate::setup::Setup;
+use crate::setup::{Placing, Setup};
 use crate::tracking::PosesFrom;
 
 impl Job {
@@ -29,10 +29,7 @@ impl Job {
         if self.memory_bytes.is_some() || self.store.is_some() {
             self.outputs.check_in_parts()?;
         }
-        let log = match self.poses {
-            PosesFrom::Log | PosesFrom::Refine => self.input.open(observer)?,
-            PosesFrom::Any | PosesFrom::Track => self.input.open_unplaced(observer)?,
-        };
+        let log = self.open(observer)?;
         let setup = self.setup(&log)?;
         let session = Session::begin_job(&log, setup, Some(self.absolute()?), observer)?;
         self.go_on(start, &log, session, stop, observer)
@@ -62,11 +59,18 @@ impl Job {
         let start = Instant::now();
         let Resumed { mut map, checkpoint } = resumed;
         self.outputs.check(&self.inputs(), self.store.as_deref())?;
-        let log = self.input.open(observer)?;
+        let log = self.open(observer)?;
         let setup = self.setup(&log)?;
         map.set_limit(self.memory_bytes);
         let session = Session::resume(&log, setup, map, checkpoint, observer)?;
         self.go_on(start, &log, session, stop, observer)
+    }
+
+    fn open(&self, observer: &mut dyn Observer) -> Result<Log> {
+        match self.poses {
+            PosesFrom::Log | PosesFrom::Refine => self.input.open(observer),
+            PosesFrom::Any | PosesFrom::Track => self.input.open_unplaced(observer),
+        }
     }
 
     fn go_on(
@@ -170,8 +174,12 @@ impl Job {
         let defaults = Setup::default();
         Ok(Setup {
             config: settings.resolve(log)?,
-            track: self.poses == PosesFrom::Track || (self.poses == PosesFrom::Any && is_unplaced(log)),
-            refine: self.poses == PosesFrom::Refine,
+            placing: match self.poses {
+                PosesFrom::Track => Placing::Track,
+                PosesFrom::Any if is_unplaced(log) => Placing::Track,
+                PosesFrom::Any | PosesFrom::Log => Placing::Given,
+                PosesFrom::Refine => Placing::Refine,
+            },
             selection: self.input.selection.clone(),
             skip_bad: self.input.skip_bad,
             device: self.device.clone(),
@@ -183,6 +191,7 @@ impl Job {
             },
             temporary: self.outputs.first().map_or(defaults.temporary, Path::to_owned),
             load_map: self.load_map.clone(),
+            initial_pose: self.initial_pose,
             follow_every: None,
         })
     }

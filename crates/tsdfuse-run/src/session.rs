@@ -26,7 +26,7 @@ use crate::report::{
     FinishReport, LoadedMap, MapReport, MeshReport, OdometryReport, PagingReport, SavedMap, ScanReport, SkippedScan,
     Sums, Totals, ViewReport,
 };
-use crate::setup::Setup;
+use crate::setup::{Placing, Setup};
 use crate::tracking::{self, Refinement, Tracking};
 use crate::view;
 use tsdfuse_odometry::Quality;
@@ -64,8 +64,9 @@ pub struct Session {
     /// What messages call it.
     name: String,
     reading: Option<ReadAhead>,
-    tracking: Option<Tracking>,
-    refinement: Option<Refinement>,
+    placer: Placer,
+    /// Scans that were done before the run was broken off, and are only tracked again: poses follow from all scans before.
+    repeated: usize,
     /// Poses of the scans to come, where they are known.
     next: VecDeque<Option<Pose>>,
     backend: Box<dyn Backend>,
@@ -87,9 +88,15 @@ pub struct Session {
     finish: FinishReport,
     begun: Instant,
     seconds: f64,
-    /// Of that, odometry.
-    tracking_secs: f64,
     stop: Stop,
+}
+
+/// What gives scans their poses.
+enum Placer {
+    /// The log did.
+    Log,
+    Odometry(Box<Tracking>),
+    Refinement(Refinement),
 }
 
 /// A scan that was given to the backend.
@@ -110,9 +117,6 @@ impl Session {
 
     pub(crate) fn begin_job(log: &Log, setup: Setup, job: Option<Job>, observer: &mut dyn Observer) -> Result<Self> {
         setup.check()?;
-        if setup.track {
-            tracking::check(log)?;
-        }
         let sensors: Vec<_> = log.sensors().iter().map(|sensor| sensor.model.clone()).collect();
         let mut checkpoint = Checkpoint {
             job,
@@ -154,7 +158,7 @@ impl Session {
             };
             (open(map, &setup, &sensors)?, loaded)
         };
-        let mut session = Self::with(log, setup, backend, checkpoint);
+        let mut session = Self::with(log, setup, backend, checkpoint)?;
         (session.loaded, session.poses) = (loaded, poses);
         session.started(observer)
     }
@@ -193,29 +197,37 @@ impl Session {
         }
         let poses = store.poses().to_vec();
         let backend = Paged::resume(store, &setup, &checkpoint.sensors);
-        let mut session = Self::with(log, setup, Box::new(backend), checkpoint);
+        let mut session = Self::with(log, setup, Box::new(backend), checkpoint)?;
         session.poses = poses;
         session.started(observer)
     }
 
-    fn with(log: &Log, setup: Setup, backend: Box<dyn Backend>, checkpoint: Checkpoint) -> Self {
+    fn with(log: &Log, setup: Setup, backend: Box<dyn Backend>, checkpoint: Checkpoint) -> Result<Self> {
+        let (placer, repeated) = match setup.placing {
+            Placing::Track => {
+                let RunConfig { odometry, range, .. } = setup.config;
+                let tracking = match &setup.load_map {
+                    Some(map) => Tracking::in_map(log, odometry, range, map, setup.initial_pose)?,
+                    None => Tracking::new(log, odometry, range)?,
+                };
+                (Placer::Odometry(Box::new(tracking)), checkpoint.done)
+            }
+            // Before it begins: see `started`.
+            Placing::Refine | Placing::Given => (Placer::Log, 0),
+        };
         let mut next = VecDeque::new();
         let reading = match log.len() {
             Some(scans) => {
                 let mut indices = setup.selection.indices(scans);
-                indices.drain(..checkpoint.done.min(indices.len()));
-                next.extend(indices.iter().map(|&index| log.scans()[index].pose));
+                indices.drain(..(checkpoint.done - repeated).min(indices.len()));
+                if setup.placing != Placing::Track {
+                    next.extend(indices.iter().map(|&index| log.scans()[index].pose));
+                }
                 log.read_indices(indices)
             }
             None => log.read_ahead(&setup.selection),
         };
-        let tracking = setup
-            .track
-            .then(|| Tracking::new(setup.config.odometry, setup.config.range));
-        if tracking.is_some() {
-            next.clear();
-        }
-        Self {
+        Ok(Self {
             setup,
             name: match &checkpoint.job {
                 Some(job) => job.input.path.display().to_string(),
@@ -223,8 +235,8 @@ impl Session {
             },
             log: log.clone(),
             reading: Some(reading),
-            tracking,
-            refinement: None,
+            placer,
+            repeated,
             next,
             backend,
             under_way: VecDeque::new(),
@@ -240,14 +252,13 @@ impl Session {
             finish: FinishReport::default(),
             begun: Instant::now(),
             seconds: 0.0,
-            tracking_secs: 0.0,
             stop: Stop::default(),
-        }
+        })
     }
 
     fn started(mut self, observer: &mut dyn Observer) -> Result<Self> {
         let device = self.backend.device();
-        if self.setup.refine {
+        if self.setup.placing == Placing::Refine {
             // Scans that are held out are refined, too: whoever looks them up needs their poses as good.
             let all = Selection {
                 hold_out: None,
@@ -255,9 +266,8 @@ impl Session {
             };
             let indices = all.indices(self.log.len().unwrap_or_default());
             let RunConfig { odometry, range, .. } = &self.setup.config;
-            self.refinement = Some(Refinement::of(
-                &self.log, &indices, *odometry, range, &self.stop, observer,
-            )?);
+            let refinement = Refinement::of(&self.log, &indices, *odometry, range, &self.stop, observer)?;
+            self.placer = Placer::Refinement(refinement);
         }
         if let Some(loaded) = &self.loaded {
             observer.on(Event::MapLoaded(loaded));
@@ -296,7 +306,7 @@ impl Session {
         self.stopped = read.is_none() && self.stop.is_stopped();
         let Some(read) = read else {
             self.reading = None;
-            if let Some(tracking) = &mut self.tracking {
+            if let Placer::Odometry(tracking) = &mut self.placer {
                 let placed = tracking.finish();
                 self.fuse_placed(placed, 0.0, observer)?;
             }
@@ -305,14 +315,12 @@ impl Session {
         };
         let wait = waiting.elapsed().as_secs_f64();
         self.next.pop_front();
-        match &mut self.tracking {
-            Some(tracking) => {
-                let start = Instant::now();
+        match &mut self.placer {
+            Placer::Odometry(tracking) => {
                 let placed = tracking.push(read);
-                self.tracking_secs += start.elapsed().as_secs_f64();
                 self.fuse_placed(placed, wait, observer)?;
             }
-            None => self.fuse_read(read, None, wait, observer)?,
+            Placer::Log | Placer::Refinement(_) => self.fuse_read(read, None, wait, observer)?,
         }
         Ok(self.full.is_none())
     }
@@ -324,7 +332,9 @@ impl Session {
         observer: &mut dyn Observer,
     ) -> Result<()> {
         for (read, quality) in placed {
-            if self.full.is_none() {
+            if self.repeated > 0 {
+                self.repeated -= 1;
+            } else if self.full.is_none() {
                 self.fuse_read(read, quality, wait, observer)?;
             }
         }
@@ -423,10 +433,14 @@ impl Session {
         };
         let mut scan = read.scan.map_err(|error| bad(name, error.to_string()))?;
         let start = Instant::now();
-        let quality = match &self.refinement {
-            Some(refinement) => refinement.place(index, &mut scan),
-            None => quality,
+        let quality = match &self.placer {
+            Placer::Refinement(refinement) => refinement.place(index, &mut scan),
+            Placer::Log | Placer::Odometry(_) => quality,
         };
+        if scan.pose.is_none() && matches!(self.placer, Placer::Odometry(_)) {
+            let reason = "its place in the saved map was not found: name a rough pose with --initial-pose, or go on looking with --skip-bad";
+            return Err(bad(name, reason.to_owned()).into());
+        }
         scan.drop_invalid(&self.setup.config.range);
         observer.on(Event::ScanRead { index, scan: &scan });
         self.guess_sensor(sensor, &scan);
@@ -635,13 +649,17 @@ impl Session {
 
     /// What odometry did, if it found the poses.
     pub fn odometry(&self) -> Option<OdometryReport> {
-        let seconds = match (&self.tracking, &self.refinement) {
-            (Some(_), _) => self.tracking_secs,
-            (None, Some(refinement)) => refinement.seconds,
-            (None, None) => return None,
-        };
         let qualities = self.scans.iter().filter_map(|scan| scan.odometry.as_ref());
-        Some(OdometryReport::of(seconds, &self.poses, qualities))
+        let of = |seconds| OdometryReport::of(seconds, &self.poses, qualities);
+        match &self.placer {
+            Placer::Log => None,
+            Placer::Odometry(tracking) => Some(OdometryReport {
+                pieces: tracking.pieces(),
+                imu: tracking.imu(),
+                ..of(tracking.seconds)
+            }),
+            Placer::Refinement(refinement) => Some(of(refinement.seconds)),
+        }
     }
 
     /// Whether the session was stopped before the last scan.

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+use tsdfuse::Pose;
 use tsdfuse::fuse::{Method, RoldaoForm};
 use tsdfuse_io::{Log, Selection};
 
@@ -10,16 +11,27 @@ use crate::config::RunConfig;
 use crate::device::Device;
 use crate::error::{Result, RunError};
 
+/// How scans come by their poses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Placing {
+    /// They are the log's.
+    #[default]
+    Given,
+    /// Odometry finds them.
+    Track,
+    /// They are the log's, refined first: each scan is registered to what the others saw.
+    Refine,
+}
+
 /// How a log is fused: the configuration, and where the map is meanwhile.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Setup {
     /// What decides the result.
     pub config: RunConfig,
-    /// Whether odometry finds the poses; otherwise they are the log's.
-    pub track: bool,
-    /// Whether the log's poses are refined first: each scan is registered to what the others saw.
-    pub refine: bool,
+    /// How scans come by their poses.
+    pub placing: Placing,
     /// Which scans are fused.
     pub selection: Selection,
     /// Whether scans that cannot be used are left out; otherwise the first one ends the run.
@@ -34,8 +46,10 @@ pub struct Setup {
     pub commit_every: usize,
     /// Where the temporary store of a limited memory lies: in this folder.
     pub temporary: PathBuf,
-    /// A saved map to continue.
+    /// A saved map to continue. Odometry looks for the log's place in it.
     pub load_map: Option<PathBuf>,
+    /// About where in the saved map the first scan was taken, `world_from_sensor`; `None`: near the poses of the map's scans.
+    pub initial_pose: Option<Pose>,
     /// Scans from one [`Event::SurfaceChanged`](crate::Event::SurfaceChanged) to the next; `None`: nobody wants to know.
     pub follow_every: Option<usize>,
 }
@@ -44,8 +58,7 @@ impl Default for Setup {
     fn default() -> Self {
         Self {
             config: RunConfig::default(),
-            track: false,
-            refine: false,
+            placing: Placing::Given,
             selection: Selection::default(),
             skip_bad: false,
             device: Device::Cpu,
@@ -54,6 +67,7 @@ impl Default for Setup {
             commit_every: 100,
             temporary: std::env::temp_dir(),
             load_map: None,
+            initial_pose: None,
             follow_every: None,
         }
     }
@@ -80,9 +94,9 @@ impl Setup {
     pub fn check(&self) -> Result<()> {
         self.config.validate()?;
         let is_batch = self.config.method == Method::Roldao && self.config.roldao.form == RoldaoForm::Batch;
-        if self.track && (self.store.is_some() || self.load_map.is_some()) {
+        if self.initial_pose.is_some() && (self.load_map.is_none() || self.placing != Placing::Track) {
             return Err(RunError::config(
-                "odometry begins a world of its own, which cannot go on with a stored or saved map: write the poses first with `tsdfuse odometry LOG -o poses.tum`, and name them with --poses",
+                "--initial-pose is where a sensor without poses is in a saved map: it needs --load-map, and a log without poses or --poses track",
             ));
         }
         if self.is_paged() {

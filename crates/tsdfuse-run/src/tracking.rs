@@ -5,15 +5,18 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
+use tsdfuse::mesh;
 use tsdfuse::scan::RangeLimits;
-use tsdfuse::{Pose, Scan};
+use tsdfuse::{ImuSample, Pose, Scan};
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::poses::{self, Poses};
 use tsdfuse_io::{Log, ReadScan, Selection};
-use tsdfuse_odometry::{OdometryConfig, Quality, Refined, Refiner, Tracker, common_shift};
+use tsdfuse_odometry::{ImuReport, OdometryConfig, Quality, Refined, Refiner, Search, Tracker, common_shift};
 
 use crate::error::{BadScan, Result, RunError};
 use crate::event::{Event, Observer, Stop};
+use crate::load::Loading;
+use crate::report::OdometryReport;
 
 /// Where the poses of scans come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,20 +39,84 @@ pub(crate) struct Tracking {
     /// What was read with the scans that are not placed yet, which the tracker has.
     waiting: VecDeque<ReadScan>,
     limits: RangeLimits,
+    pub(crate) seconds: f64,
 }
 
 impl Tracking {
-    pub(crate) fn new(config: OdometryConfig, limits: RangeLimits) -> Self {
-        Self {
-            tracker: Tracker::new(config),
+    /// Of a log with one LiDAR, whose IMU is used if it has one.
+    ///
+    /// # Errors
+    /// [`RunError::Config`] if the log has several sensors or depth images; if its IMU samples cannot be read.
+    pub(crate) fn new(log: &Log, config: OdometryConfig, limits: RangeLimits) -> Result<Self> {
+        Self::with(log, Tracker::new(config), config, limits)
+    }
+
+    /// The same in the frame of a saved map, in which the sensor is sought: near a pose, or else along the poses of the map's scans.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; if the map cannot be read, or does not say where to look.
+    pub(crate) fn in_map(
+        log: &Log,
+        config: OdometryConfig,
+        limits: RangeLimits,
+        map: &Path,
+        near: Option<Pose>,
+    ) -> Result<Self> {
+        let mut loading = Loading::open(map)?;
+        let search = match near {
+            Some(near) => Search {
+                near: vec![near],
+                ..Search::default()
+            },
+            None => Search {
+                along: loading.take_poses().iter().map(|fused| fused.pose).collect(),
+                ..Search::default()
+            },
+        };
+        if near.is_none() && search.along.is_empty() {
+            return Err(RunError::config(format_args!(
+                "{}: the map does not tell the poses of its scans, so say with --initial-pose where the sensor is",
+                map.display()
+            )));
+        }
+        let (map, _) = loading.read()?;
+        let surface = mesh::extract(&map)?.vertices;
+        let tracker = Tracker::in_map(config, surface, search);
+        Self::with(log, tracker, config, limits)
+    }
+
+    fn with(log: &Log, mut tracker: Tracker, config: OdometryConfig, limits: RangeLimits) -> Result<Self> {
+        check(log)?;
+        if config.imu {
+            let sensor_from_body = log.sensors()[0].body_from_sensor.rotation.inverse();
+            tracker.push_imu(log.imu()?.into_iter().map(|sample| ImuSample {
+                angular_velocity: sensor_from_body * sample.angular_velocity,
+                acceleration: sensor_from_body * sample.acceleration,
+                ..sample
+            }));
+        }
+        Ok(Self {
+            tracker,
             waiting: VecDeque::new(),
             limits,
-        }
+            seconds: 0.0,
+        })
+    }
+
+    /// Pieces of the trajectory that have nothing to do with each other.
+    pub(crate) fn pieces(&self) -> usize {
+        self.tracker.pieces()
+    }
+
+    /// What was found out about the log's IMU, if it has one.
+    pub(crate) fn imu(&self) -> Option<ImuReport> {
+        self.tracker.imu()
     }
 
     /// Takes a scan; those that are placed come out, in order. Scans that could not be read come out at once.
     pub(crate) fn push(&mut self, mut read: ReadScan) -> Vec<(ReadScan, Option<Quality>)> {
-        match &mut read.scan {
+        let start = Instant::now();
+        let placed = match &mut read.scan {
             Ok(scan) => {
                 scan.drop_invalid(&self.limits);
                 self.tracker.push(std::mem::take(scan));
@@ -57,7 +124,9 @@ impl Tracking {
                 self.placed()
             }
             Err(_) => vec![(read, None)],
-        }
+        };
+        self.seconds += start.elapsed().as_secs_f64();
+        placed
     }
 
     /// The scans that still wait.
@@ -175,6 +244,29 @@ pub struct TrackedScan {
     pub quality: Quality,
 }
 
+/// A trajectory that was tracked.
+#[derive(Clone, Debug)]
+pub struct Track {
+    /// The scans in order.
+    pub scans: Vec<TrackedScan>,
+    /// Pieces that have nothing to do with each other: one if the sensor was never lost.
+    pub pieces: usize,
+    /// What was found out about the log's IMU, if it has one.
+    pub imu: Option<ImuReport>,
+}
+
+impl Track {
+    /// What was done, in so many seconds.
+    pub fn report(&self, seconds: f64) -> OdometryReport {
+        let poses: Vec<FusedPose> = self.scans.iter().map(|scan| scan.pose).collect();
+        OdometryReport {
+            pieces: self.pieces,
+            imu: self.imu.clone(),
+            ..OdometryReport::of(seconds, &poses, self.scans.iter().map(|scan| &scan.quality))
+        }
+    }
+}
+
 /// Tracks the selected scans of a log, without a map.
 ///
 /// # Errors
@@ -185,9 +277,8 @@ pub fn track(
     config: OdometryConfig,
     limits: RangeLimits,
     stop: &Stop,
-) -> Result<Vec<TrackedScan>> {
-    check(log)?;
-    let mut tracking = Tracking::new(config, limits);
+) -> Result<Track> {
+    let mut tracking = Tracking::new(log, config, limits)?;
     let mut all = Vec::new();
     let mut take = |placed: Vec<(ReadScan, Option<Quality>)>| {
         for (read, quality) in placed {
@@ -215,7 +306,11 @@ pub fn track(
         take(tracking.push(read))?;
     }
     take(tracking.finish())?;
-    Ok(all)
+    Ok(Track {
+        scans: all,
+        pieces: tracking.pieces(),
+        imu: tracking.imu(),
+    })
 }
 
 /// Refines the poses of the selected scans of a log, without a map; those without a pose are left out.
@@ -229,7 +324,7 @@ pub fn refine(
     limits: RangeLimits,
     stop: &Stop,
     observer: &mut dyn Observer,
-) -> Result<Vec<TrackedScan>> {
+) -> Result<Track> {
     let indices = selection.indices(log.scans().len());
     let refinement = Refinement::of(log, &indices, config, &limits, stop, observer)?;
     let tracked = indices.into_iter().filter_map(|index| {
@@ -242,7 +337,11 @@ pub fn refine(
             quality: refined.quality,
         })
     });
-    Ok(tracked.collect())
+    Ok(Track {
+        scans: tracked.collect(),
+        pieces: 1,
+        imu: None,
+    })
 }
 
 /// Writes poses: as TUM where all have times that ascend, else as KITTI.
