@@ -7,7 +7,7 @@ use clap::builder::PossibleValuesParser;
 use tsdfuse::MapConfig;
 use tsdfuse::glam::DVec3;
 use tsdfuse_eval::Protocol;
-use tsdfuse_evaluate::{Comparing, Evaluated, Evaluation, Form, Tuning, tables};
+use tsdfuse_evaluate::{Comparing, Contest, Evaluated, Evaluation, Form, Tuning, tables};
 use tsdfuse_io::DEPTH_CAMERA_TRUNCATION_M;
 
 use crate::args::{LogArgs, parse_triple};
@@ -132,11 +132,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
 
 fn tune(args: &Args, forms: Vec<Form>) -> Result<Outcome> {
     let tuning = Tuning {
-        input: args.log.input(),
-        settings: args.log.settings(None)?,
-        forms,
-        hold_out: args.hold_out.map(|every| every as usize),
-        margin_m: args.margin,
+        contest: args.contest(forms)?,
         budget_secs: args.budget,
     };
     args.log.set_threads()?;
@@ -165,13 +161,19 @@ fn outcome(is_complete: bool) -> Outcome {
 }
 
 impl Args {
-    fn evaluation(&self, forms: Vec<Form>) -> Result<Evaluation> {
-        Ok(Evaluation {
+    fn contest(&self, forms: Vec<Form>) -> Result<Contest> {
+        Ok(Contest {
             input: self.log.input(),
             settings: self.log.settings(None)?,
             forms,
             hold_out: self.hold_out.map(|every| every as usize),
             margin_m: self.margin,
+        })
+    }
+
+    fn evaluation(&self, forms: Vec<Form>) -> Result<Evaluation> {
+        Ok(Evaluation {
+            contest: self.contest(forms)?,
             comparing: Comparing {
                 reference: self.reference.clone(),
                 every: self.every as usize,

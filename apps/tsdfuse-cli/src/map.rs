@@ -1,6 +1,8 @@
 //! `tsdfuse map`: saved maps in, a saved map out.
 
+mod esdf;
 mod export;
+mod free;
 #[cfg(feature = "zarr")]
 mod zarr;
 
@@ -34,10 +36,12 @@ Examples:
   tsdfuse map repair broken.tsdf -o whole.tsdf
   tsdfuse map export street.tsdf -o street.npz
   tsdfuse map export drive.store -o drive.zarr
+  tsdfuse map esdf street.tsdf --voxel-size 0.2 --radius 2 -o distances.npz
+  tsdfuse map free drive --heights 0.3..1.8 --inflate 1 -o drive.yaml
 
 `tsdfuse info MAP` describes a map.";
 
-/// Merge, crop, resample, transform, repair and export saved maps.
+/// Merge, crop, resample, transform, repair and export saved maps; what robots ask of them.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
@@ -51,6 +55,10 @@ enum Command {
     Operation(Operation),
     /// Write the voxels as arrays (.npz for NumPy, .zarr for xarray), or the surface as points with normals (.ply).
     Export(export::Args),
+    /// Write the distance to the nearest surface for all voxels near one, as arrays (.npz for NumPy).
+    Esdf(esdf::Args),
+    /// Write what a log's rays tell of space: free, occupied or unknown (.bt for OctoMap, .yaml for nav2, .npz for NumPy).
+    Free(free::Args),
 }
 
 /// What makes a map of maps.
@@ -158,6 +166,8 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
     let operation = match command {
         Command::Operation(operation) => operation,
         Command::Export(export) => return export.run(),
+        Command::Esdf(esdf) => return esdf.run(),
+        Command::Free(free) => return free.run(),
     };
     let out = operation.out();
     check_outputs(&operation.inputs(), &[&out.output])?;

@@ -8,10 +8,10 @@ use anyhow::{Context, Result};
 use clap::{Subcommand, ValueEnum};
 use serde::Serialize;
 use tsdfuse::Trajectory;
-use tsdfuse_eval::trajectory::{Track, TrajectoryComparison, compare};
+use tsdfuse_eval::trajectory::{TrajectoryComparison, compare};
 use tsdfuse_evaluate::trajectories;
-use tsdfuse_io::atomic;
 use tsdfuse_io::poses::{self, Poses};
+use tsdfuse_io::{atomic, png};
 use tsdfuse_run::check_outputs;
 
 use crate::exit::{Outcome, Usage};
@@ -20,7 +20,7 @@ use crate::progress::say;
 
 const EXAMPLES: &str = "\
 Examples:
-  tsdfuse poses compare odometry.tum groundtruth.tum --plot odometry.svg
+  tsdfuse poses compare odometry.tum groundtruth.tum --plot odometry.png
   tsdfuse poses compare drive.tsdf kitti/sequences/00 --json
   tsdfuse poses convert poses.txt --times times.txt -o poses.tum
 
@@ -51,8 +51,8 @@ struct Compare {
     /// Both are of one world: do not align them.
     #[arg(long)]
     no_align: bool,
-    /// Draw both from above, and the error over the distance.
-    #[arg(long, value_name = "FILE.svg")]
+    /// Draw both from above, and the error over the distance, as a picture (.png or .svg).
+    #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     /// Print JSON.
     #[arg(long)]
@@ -104,11 +104,8 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
 impl Compare {
     fn run(&self) -> Result<Outcome> {
         if let Some(path) = &self.plot {
-            if !path
-                .extension()
-                .is_some_and(|extension| extension.eq_ignore_ascii_case("svg"))
-            {
-                return Err(Usage::new(format_args!("{}: a plot is drawn as .svg", path.display())).into());
+            if !has_extension(path, "svg") && !has_extension(path, "png") {
+                return Err(Usage::new(format_args!("{}: a plot is drawn as .png or .svg", path.display())).into());
             }
             check_outputs(&[&self.track, &self.reference], &[path])?;
         }
@@ -116,8 +113,12 @@ impl Compare {
         let found = compare(&track, &reference, !self.no_align);
         let found = found.with_context(|| format!("{} and {}", self.track.display(), self.reference.display()))?;
         if let Some(path) = &self.plot {
-            let svg = trajectories::plot(&found)?;
-            atomic::write(path, |out| std::io::Write::write_all(out, svg.as_bytes()))?;
+            if has_extension(path, "png") {
+                png::write(path, &trajectories::picture(&found)?)?;
+            } else {
+                let svg = trajectories::svg(&found)?;
+                atomic::write(path, |out| std::io::Write::write_all(out, svg.as_bytes()))?;
+            }
         }
         if self.json {
             print_json(&Report {
@@ -133,6 +134,11 @@ impl Compare {
     }
 }
 
+fn has_extension(path: &Path, wanted: &str) -> bool {
+    path.extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
+}
+
 impl Convert {
     fn run(&self) -> Result<Outcome> {
         let inputs = [Some(&self.input), self.times.as_ref()];
@@ -143,17 +149,16 @@ impl Convert {
             track = with_times(&track, path)?;
         }
         let poses = match (track, self.format) {
-            (Track::Timed(trajectory), None | Some(Format::Tum)) => Poses::Timed(trajectory),
-            (Track::Timed(trajectory), Some(Format::Kitti)) => Poses::Listed(trajectory.poses().to_vec()),
-            (Track::Listed(poses), None | Some(Format::Kitti)) => Poses::Listed(poses),
-            (Track::Listed(_), Some(Format::Tum)) => {
+            (Poses::Timed(trajectory), Some(Format::Kitti)) => Poses::Listed(trajectory.poses().to_vec()),
+            (Poses::Listed(_), Some(Format::Tum)) => {
                 let told = "its poses have no times, which TUM needs: name a file of --times";
                 return Err(Usage::new(format_args!("{}: {told}", self.input.display())).into());
             }
+            (poses, _) => poses,
         };
         let (kind, count) = match &poses {
-            Poses::Timed(trajectory) => ("TUM", trajectory.poses().len()),
-            Poses::Listed(poses) => ("KITTI", poses.len()),
+            Poses::Timed(_) => ("TUM", poses.poses().len()),
+            Poses::Listed(_) => ("KITTI", poses.poses().len()),
         };
         poses::write(&self.output, &poses)?;
         say(format_args!("  poses    {count}, {kind}"));
@@ -163,7 +168,7 @@ impl Convert {
 }
 
 /// The poses at the times of a file.
-fn with_times(track: &Track, path: &Path) -> Result<Track> {
+fn with_times(track: &Poses, path: &Path) -> Result<Poses> {
     let times_ns = tsdfuse_io::times::read(path)?;
     let poses = track.poses();
     if times_ns.len() != poses.len() {
@@ -172,5 +177,5 @@ fn with_times(track: &Track, path: &Path) -> Result<Track> {
     }
     let timed = times_ns.into_iter().zip(poses.iter().copied()).collect();
     let trajectory = Trajectory::new(timed).with_context(|| path.display().to_string())?;
-    Ok(Track::Timed(trajectory))
+    Ok(Poses::Timed(trajectory))
 }

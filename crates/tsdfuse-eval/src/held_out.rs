@@ -17,12 +17,6 @@ use tsdfuse::scan::ScanError;
 
 use crate::stats::Stats;
 
-/// Whether the scan at `position` is held out if every `every`-th scan is. It is the middle one of each group, so that scans
-/// before and after it are in the map.
-pub fn is_held_out(position: usize, every: usize) -> bool {
-    every > 0 && position % every == every / 2
-}
-
 /// How the returns of held-out scans compare with the surface of a map. The three shares add up to 1.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HeldOut {

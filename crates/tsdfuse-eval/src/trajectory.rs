@@ -2,20 +2,21 @@
 //!
 //! ```
 //! use tsdfuse::{Pose, glam::DVec3};
-//! use tsdfuse_eval::trajectory::{Track, compare};
+//! use tsdfuse::trajectory::Poses;
+//! use tsdfuse_eval::trajectory::compare;
 //!
 //! let at = |x: f64, y: f64| Pose { translation: DVec3::new(x, y, 0.0), ..Pose::IDENTITY };
 //! let truth: Vec<Pose> = (0..200).map(|i| at(f64::from(i), 20.0 * (0.01 * f64::from(i)).sin())).collect();
 //! // One per cent too long, and in a world of its own.
 //! let odometry = truth.iter().map(|p| at(1.01 * p.translation.x + 7.0, 1.01 * p.translation.y)).collect();
-//! let found = compare(&Track::Listed(odometry), &Track::Listed(truth), true)?;
+//! let found = compare(&Poses::Listed(odometry), &Poses::Listed(truth), true)?;
 //! assert!((found.kitti.unwrap().translation_percent - 1.0).abs() < 0.05);
 //! # Ok::<(), tsdfuse_eval::trajectory::TrajectoryError>(())
 //! ```
 
 use serde::Serialize;
-use tsdfuse::trajectory::distances_m;
-use tsdfuse::{Pose, Trajectory};
+use tsdfuse::Pose;
+use tsdfuse::trajectory::{Poses, distances_m};
 
 use crate::stats::Stats;
 
@@ -26,32 +27,13 @@ mod pairs;
 use align::aligned;
 use drift::drift;
 pub use drift::{Drift, KITTI_LENGTHS_M};
-pub use pairs::{MAX_GAP_SECS, TrajectoryError};
+pub use pairs::TrajectoryError;
 use pairs::{Pairs, pairs};
 
 /// Lengths over which the drift is told besides KITTI's, metres.
 const LENGTHS_M: [f64; 2] = [10.0, 50.0];
 /// KITTI's benchmark begins a piece at each so many-th pose.
 const KITTI_STEP: usize = 10;
-
-/// The poses of a drive, `world_from_sensor` or of any other frame, the same for both that are compared.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Track {
-    /// Without times.
-    Listed(Vec<Pose>),
-    /// With times.
-    Timed(Trajectory),
-}
-
-impl Track {
-    /// The poses in order.
-    pub fn poses(&self) -> &[Pose] {
-        match self {
-            Self::Listed(poses) => poses,
-            Self::Timed(trajectory) => trajectory.poses(),
-        }
-    }
-}
 
 /// How far a trajectory is from a reference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -126,12 +108,12 @@ impl Spread {
 
 /// Compares a trajectory with a reference, after rigid alignment if `align` says so.
 ///
-/// Poses are matched by time where both have times: the reference is interpolated, over at most [`MAX_GAP_SECS`]. Otherwise they are
+/// Poses are matched by time where both have times: the reference is interpolated, over at most [`MAX_GAP_SECS`](tsdfuse::trajectory::MAX_GAP_SECS). Otherwise they are
 /// matched by order.
 ///
 /// # Errors
 /// [`TrajectoryError`] if poses cannot be matched, or none can be.
-pub fn compare(track: &Track, reference: &Track, align: bool) -> Result<TrajectoryComparison, TrajectoryError> {
+pub fn compare(track: &Poses, reference: &Poses, align: bool) -> Result<TrajectoryComparison, TrajectoryError> {
     let Pairs {
         poses,
         left_out,

@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use tsdfuse::glam::DVec3;
-use tsdfuse_run::{Input, Job, Report, Settings, Silent, Stop};
+use tsdfuse_run::{Job, Report, Silent, Stop};
 
-use crate::error::{Error, Result};
+use crate::contest::{Contest, check_length};
+use crate::error::Result;
 use crate::form::Form;
 use crate::results::Results;
 use crate::truth::Comparing;
@@ -24,16 +25,8 @@ pub fn in_this_process() -> impl FnMut(&Job) -> Result<Report, String> {
 /// What is compared, and how.
 #[derive(Clone, Debug)]
 pub struct Evaluation {
-    /// The log and which of its scans.
-    pub input: Input,
-    /// What is set for all methods.
-    pub settings: Settings,
-    /// The methods.
-    pub forms: Vec<Form>,
-    /// One of so many scans is held out; 0: none. `None`: one of 10, or fewer where there are fewer scans.
-    pub hold_out: Option<usize>,
-    /// Largest distance between a held-out return and its surface, metres, metres. `None`: the default truncation for the log.
-    pub margin_m: Option<f64>,
+    /// The methods and the data. One of 10 scans is held out, unless that is set; or fewer where there are fewer scans.
+    pub contest: Contest,
     /// What meshes are compared with.
     pub comparing: Comparing,
     /// Runs of each method, whose median speed counts. Methods take turns, since a machine is slower at one time than at another.
@@ -64,17 +57,10 @@ pub struct Evaluated {
 }
 
 impl Evaluation {
-    /// All methods on all scans of a log; three runs each, no files.
-    pub fn of(log: impl Into<PathBuf>) -> Self {
+    /// Three runs of each method, no files.
+    pub fn of(contest: Contest) -> Self {
         Self {
-            input: Input {
-                path: log.into(),
-                ..Input::default()
-            },
-            settings: Settings::default(),
-            forms: Form::all(),
-            hold_out: None,
-            margin_m: None,
+            contest,
             comparing: Comparing::default(),
             runs: 3,
             views: Vec::new(),
@@ -88,29 +74,20 @@ impl Evaluation {
 
     /// Finds out before the work what cannot be.
     pub(crate) fn check(&self) -> Result<()> {
-        for form in &self.forms {
-            form.over(&self.settings)?;
-        }
+        self.contest.check()?;
         self.comparing.check()?;
-        check_length("--max-error", self.max_error_m)?;
-        self.margin_m
-            .map_or(Ok(()), |margin_m| check_length("--margin", margin_m))
+        check_length("--max-error", self.max_error_m)
     }
 
     /// The names of all files of results.
     pub(crate) fn files(&self) -> Vec<String> {
-        let meshes = self.forms.iter().map(Form::mesh_name).filter(|_| self.keep_meshes);
+        let meshes = self
+            .contest
+            .forms
+            .iter()
+            .map(Form::mesh_name)
+            .filter(|_| self.keep_meshes);
         let files = ["results.json", "table.md", "report.html", "methods.png"];
         files.map(str::to_owned).into_iter().chain(meshes).collect()
     }
-}
-
-/// Refuses what is no length.
-pub(crate) fn check_length(flag: &str, length_m: f64) -> Result<()> {
-    if length_m > 0.0 && length_m.is_finite() {
-        return Ok(());
-    }
-    Err(Error::config(format_args!(
-        "{flag} must be a positive length in metres, not {length_m}"
-    )))
 }

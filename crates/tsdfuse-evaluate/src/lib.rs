@@ -1,6 +1,7 @@
 //! Methods of fusing side by side on a log, and this machine in numbers.
 //!
-//! - [`Evaluation`] fuses a log with several methods, and measures each: the distance of its mesh to a reference, how well its
+//! - [`Contest`] names methods and a log.
+//! - [`Evaluation`] fuses the log with each of the methods, and measures each: the distance of its mesh to a reference, how well its
 //!   map foretells held-out scans, its speed and memory. The [`Results`] become [`tables`], [`plots`] and a [`page`] with
 //!   pictures.
 //! - [`Tuning`] searches the method, voxel size and truncation that foretell held-out scans best.
@@ -9,10 +10,10 @@
 //! - [`mod@reference`], [`colored`] and [`figures`] read what one mesh is compared with, and show how it compares.
 //!
 //! ```no_run
-//! use tsdfuse_evaluate::{Evaluation, Form, in_this_process, tables};
+//! use tsdfuse_evaluate::{Contest, Evaluation, Form, in_this_process, tables};
 //!
 //! let forms = Form::chosen(&["patch", "raycast"], &[])?;
-//! let evaluation = Evaluation { forms, ..Evaluation::of("pandaset/002") };
+//! let evaluation = Evaluation::of(Contest { forms, ..Contest::of("pandaset/002") });
 //! let found = evaluation.run(&mut in_this_process(), &mut |_| {})?;
 //! for table in tables::of(&found.results) {
 //!     println!("{}", table.text());
@@ -27,6 +28,7 @@
 pub mod bench;
 pub mod colored;
 pub mod command;
+mod contest;
 mod error;
 mod evaluation;
 pub mod figures;
@@ -38,6 +40,7 @@ pub mod page;
 pub mod pictures;
 pub mod plots;
 mod progress;
+mod raster;
 pub mod reference;
 pub mod results;
 mod side_by_side;
@@ -49,6 +52,7 @@ mod truth;
 mod tune;
 mod tuned;
 
+pub use contest::Contest;
 pub use error::{Error, Result};
 pub use evaluation::{Evaluated, Evaluation, Runner, in_this_process};
 pub use form::Form;

@@ -104,10 +104,10 @@ fn sums(histogram: &Histogram) -> Vec<(f64, f64)> {
 }
 
 /// A plot with numbers on both axes.
-pub(crate) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+pub(crate) type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// Grid, names and numbers of both axes.
-pub(crate) fn axes(chart: &mut Chart<'_, '_>, x: &str, y: &str) -> Result<()> {
+pub(crate) fn axes<B: DrawingBackend>(chart: &mut Chart<'_, B>, x: &str, y: &str) -> Result<()> {
     let mut mesh = chart.configure_mesh();
     mesh.x_desc(x)
         .y_desc(y)

@@ -42,7 +42,7 @@ impl Evaluation {
     /// written. A method that cannot be used is no error as long as there are others: see [`Results::failed`].
     pub fn run(&self, runner: &mut Runner<'_>, watch: &mut Watch<'_>) -> Result<Evaluated> {
         self.check()?;
-        let log = self.input.open(&mut Runs(watch))?;
+        let log = self.contest.input.open(&mut Runs(watch))?;
         let place = Workplace::new(self, &log, watch)?;
         let (methods, failed, gallery) = place.run(runner, watch)?;
         let (results, folder) = place.results(methods, failed);
@@ -72,15 +72,15 @@ struct Workplace<'a> {
 
 impl<'a> Workplace<'a> {
     fn new(asked: &'a Evaluation, log: &'a Log, watch: &mut Watch<'_>) -> Result<Self> {
-        let input = &asked.input;
+        let contest = &asked.contest;
+        let input = &contest.input;
         let scans = reference::length(log)?;
-        for form in &asked.forms {
-            form.over(&asked.settings)?.resolve(log)?;
+        for form in &contest.forms {
+            form.over(&contest.settings)?.resolve(log)?;
         }
-        let range = asked.settings.resolve(log)?.range;
-        let selection = held_out::selection(&input.selection, asked.hold_out, HOLD_OUT, scans)?;
-        let margin_m = asked.margin_m.unwrap_or(log.suggested().map.truncation_m);
-        let held_out = HeldOutScans::of(&selection, scans, margin_m, input.skip_bad);
+        let range = contest.settings.resolve(log)?.range;
+        let selection = held_out::selection(&input.selection, contest.hold_out, HOLD_OUT, scans)?;
+        let held_out = HeldOutScans::of(&selection, scans, contest.margin_m(log), input.skip_bad);
         if let Some(output) = &asked.output {
             let others = [&input.options.poses, &asked.comparing.reference, &asked.config_file];
             let others = others.into_iter().flatten().map(PathBuf::as_path);
@@ -101,7 +101,8 @@ impl<'a> Workplace<'a> {
     }
 
     fn run(&self, runner: &mut Runner<'_>, watch: &mut Watch<'_>) -> Result<(Vec<Row>, Vec<Failed>, Gallery)> {
-        let Evaluation { forms, runs, .. } = self.asked;
+        let Evaluation { contest, runs, .. } = self.asked;
+        let forms = &contest.forms;
         watch(Progress::Begun {
             work: "evaluating",
             steps: Some(forms.len() * (*runs).max(1)),
@@ -153,7 +154,7 @@ impl<'a> Workplace<'a> {
             command_line: self.asked.command_line.clone(),
             machine: Machine::here(methods.first().map_or(0, |row| row.threads)),
             dataset: Data {
-                name: name_of(&self.asked.input.path),
+                name: name_of(&self.asked.contest.input.path),
                 format: self.log.format().to_owned(),
                 scans: self.indices.len(),
                 hold_out: self.selection.hold_out,
@@ -168,8 +169,8 @@ impl<'a> Workplace<'a> {
 
     fn job(&self, form: &Form) -> Result<Job> {
         Ok(Job {
-            input: self.asked.input.clone(),
-            settings: form.over(&self.asked.settings)?,
+            input: self.asked.contest.input.clone(),
+            settings: form.over(&self.asked.contest.settings)?,
             ..Job::default()
         })
     }

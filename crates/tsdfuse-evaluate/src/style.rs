@@ -58,18 +58,25 @@ impl Style {
 const BLACK: [u8; 3] = [0; 3];
 
 /// After Okabe and Ito, "Color Universal Design", 2008, as far as that goes.
+const COLORS: [[u8; 3]; 8] = [
+    [0, 114, 178],
+    [213, 94, 0],
+    [0, 158, 115],
+    [204, 121, 167],
+    [230, 159, 0],
+    [86, 180, 233],
+    [140, 109, 49],
+    [127, 63, 191],
+];
+
+/// Black for the default method; the others take the colours in turn.
 fn color(method: Method) -> [u8; 3] {
-    match method {
-        Method::Raycast => [0, 114, 178],
-        Method::Normals => [213, 94, 0],
-        Method::Surfels => [0, 158, 115],
-        Method::Cylindrical => [204, 121, 167],
-        Method::Kuehner => [230, 159, 0],
-        Method::Depth => [86, 180, 233],
-        Method::Caminal => [140, 109, 49],
-        Method::Roldao => [127, 63, 191],
-        Method::Patch => BLACK,
+    if method == Method::default() {
+        return BLACK;
     }
+    let mut others = Method::ALL.iter().filter(|other| **other != Method::default());
+    let number = others.position(|other| *other == method).unwrap_or_default();
+    COLORS[number % COLORS.len()]
 }
 
 #[cfg(test)]

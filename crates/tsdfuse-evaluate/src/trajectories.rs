@@ -5,11 +5,13 @@ use std::ops::Range;
 use std::path::Path;
 
 use plotters::prelude::*;
+use tsdfuse::render::Image;
 use tsdfuse_eval::trajectory::{Compared, Drift, Spread, TrajectoryComparison};
 use tsdfuse_run::report::with_commas;
 
 use crate::error::Result;
 use crate::plots::{Chart, axes, said};
+use crate::raster::{Canvas, Raster};
 
 /// Width and height of the plot, and how much of the height is the view from above.
 const SIZE: (u32, u32) = (720, 860);
@@ -100,23 +102,35 @@ fn line(text: &mut String, name: &str, drift: &Drift) {
 ///
 /// # Errors
 /// If it cannot be drawn.
-pub fn plot(found: &TrajectoryComparison) -> Result<String> {
-    let pairs = found.pairs.as_slice();
+pub fn svg(found: &TrajectoryComparison) -> Result<String> {
     let mut svg = String::new();
-    {
-        let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
-        area.fill(&WHITE).map_err(said)?;
-        let (above, below) = area.split_vertically(ABOVE);
-        from_above(&above, pairs)?;
-        over_distance(&below, pairs)?;
-        area.present().map_err(said)?;
-    }
+    plot(SVGBackend::with_string(&mut svg, SIZE), found)?;
     Ok(svg)
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+/// The same as a picture.
+///
+/// # Errors
+/// If it cannot be drawn.
+pub fn picture(found: &TrajectoryComparison) -> Result<Image> {
+    let mut canvas = Canvas::new(SIZE);
+    plot(Raster(&mut canvas), found)?;
+    Ok(canvas.into_image())
+}
 
-fn from_above(area: &Area<'_>, pairs: &[Compared]) -> Result<()> {
+fn plot<B: DrawingBackend>(backend: B, found: &TrajectoryComparison) -> Result<()> {
+    let pairs = found.pairs.as_slice();
+    let area = backend.into_drawing_area();
+    area.fill(&WHITE).map_err(said)?;
+    let (above, below) = area.split_vertically(ABOVE);
+    from_above(&above, pairs)?;
+    over_distance(&below, pairs)?;
+    area.present().map_err(said)
+}
+
+type Area<B> = DrawingArea<B, plotters::coord::Shift>;
+
+fn from_above<B: DrawingBackend>(area: &Area<B>, pairs: &[Compared]) -> Result<()> {
     let places = |of: fn(&Compared) -> tsdfuse::Pose| {
         let place = move |pair: &Compared| (of(pair).translation.x, of(pair).translation.y);
         pairs.iter().map(place).collect::<Vec<_>>()
@@ -141,7 +155,7 @@ fn from_above(area: &Area<'_>, pairs: &[Compared]) -> Result<()> {
     legend(&mut chart)
 }
 
-fn over_distance(area: &Area<'_>, pairs: &[Compared]) -> Result<()> {
+fn over_distance<B: DrawingBackend>(area: &Area<B>, pairs: &[Compared]) -> Result<()> {
     let lines = [
         ("m", TRACK, (|pair| pair.error_m) as fn(&Compared) -> f64),
         ("deg", TURN, |pair| pair.error_deg),
@@ -165,14 +179,19 @@ fn over_distance(area: &Area<'_>, pairs: &[Compared]) -> Result<()> {
     legend(&mut chart)
 }
 
-fn series(chart: &mut Chart<'_, '_>, name: &str, color: RGBColor, points: Vec<(f64, f64)>) -> Result<()> {
+fn series<B: DrawingBackend>(
+    chart: &mut Chart<'_, B>,
+    name: &str,
+    color: RGBColor,
+    points: Vec<(f64, f64)>,
+) -> Result<()> {
     let drawn = chart.draw_series(LineSeries::new(points, color.stroke_width(2)));
     let key = move |(x, y)| PathElement::new(vec![(x, y), (x + 16, y)], color.stroke_width(2));
     drawn.map_err(said)?.label(name).legend(key);
     Ok(())
 }
 
-fn legend<'a, 'b: 'a>(chart: &mut Chart<'a, 'b>) -> Result<()> {
+fn legend<'a, B: DrawingBackend + 'a>(chart: &mut Chart<'a, B>) -> Result<()> {
     let mut labels = chart.configure_series_labels();
     labels
         .position(SeriesLabelPosition::UpperRight)
@@ -203,7 +222,9 @@ fn equal_scales(ranges: &[Range<f64>; 2], (width, height): (f64, f64)) -> [Range
 mod tests {
     use tsdfuse::Pose;
     use tsdfuse::glam::DVec3;
-    use tsdfuse_eval::trajectory::{Track, compare};
+    use tsdfuse::render::Pixels;
+    use tsdfuse::trajectory::Poses;
+    use tsdfuse_eval::trajectory::compare;
 
     use super::*;
 
@@ -214,7 +235,7 @@ mod tests {
                 translation: DVec3::new(f64::from(i), 20.0 * (0.05 * f64::from(i)).sin(), 0.0) * scale,
                 ..Pose::IDENTITY
             };
-            Track::Listed((0..poses).map(pose).collect())
+            Poses::Listed((0..poses).map(pose).collect())
         };
         compare(&curve(1.01), &curve(1.0), true).unwrap()
     }
@@ -238,13 +259,28 @@ mod tests {
 
     #[test]
     fn both_trajectories_are_drawn() {
-        let svg = plot(&found(150)).unwrap();
+        let svg = svg(&found(150)).unwrap();
         assert!(svg.matches("<polyline").count() >= 4);
         for name in ["reference", "trajectory", "distance, m", "deg"] {
             assert!(svg.contains(name), "{name}");
         }
         // Standing still is no reason to fail.
-        assert!(plot(&found(1)).is_ok());
+        assert!(super::svg(&found(1)).is_ok() && picture(&found(1)).is_ok());
+    }
+
+    #[test]
+    fn a_picture_shows_both_trajectories_and_text() {
+        let Image { width, height, pixels } = picture(&found(150)).unwrap();
+        let Pixels::Rgb(pixels) = pixels else {
+            panic!("{pixels:?}")
+        };
+        assert_eq!((width, height, pixels.len()), (1440, 1720, 1440 * 1720));
+        let count = |RGBColor(r, g, b)| pixels.iter().filter(|pixel| **pixel == [r, g, b]).count();
+        // The two lines are 1 % apart at their ends.
+        assert!(count(TRACK) > 2000 && count(TURN) > 500 && count(BLACK) > 2000);
+        // The numbers of the axis stand left of it.
+        let is_dark = |(at, pixel): (usize, &[u8; 3])| at % width < 100 && at / width < 1000 && pixel[0] < 128;
+        assert!(pixels.iter().enumerate().filter(|&pixel| is_dark(pixel)).count() > 500);
     }
 
     #[test]

@@ -8,11 +8,11 @@ use std::time::{Duration, Instant};
 
 use tsdfuse_io::{Log, Selection};
 use tsdfuse_run::report::SkippedScan;
-use tsdfuse_run::{Input, Job, Outputs, RunConfig, Session, Settings, Setup, Silent};
+use tsdfuse_run::{Job, Outputs, RunConfig, Session, Setup, Silent};
 
 use crate::command;
+use crate::contest::Contest;
 use crate::error::{Error, Result};
-use crate::evaluation::check_length;
 use crate::form::Form;
 use crate::held_out::{self, HeldOutScans};
 use crate::progress::{Progress, Runs, Watch};
@@ -34,16 +34,9 @@ const HOLD_OUT: usize = 5;
 /// A search for the best method, voxel size and truncation.
 #[derive(Clone, Debug)]
 pub struct Tuning {
-    /// The log and which of its scans.
-    pub input: Input,
-    /// What is set for all candidates.
-    pub settings: Settings,
-    /// The methods to try.
-    pub forms: Vec<Form>,
-    /// One of so many scans is held out, at least 2. `None`: one of 5, or fewer where there are fewer scans.
-    pub hold_out: Option<usize>,
-    /// Largest distance between a held-out return and its surface, metres, metres. `None`: the default truncation for the log.
-    pub margin_m: Option<f64>,
+    /// The methods and the data. One of 5 scans is held out, unless that is set, at least every second; or fewer where there
+    /// are fewer scans.
+    pub contest: Contest,
     /// Time limit of the search, seconds.
     pub budget_secs: f64,
 }
@@ -56,17 +49,10 @@ struct Candidate {
 }
 
 impl Tuning {
-    /// A search among all methods on all scans of a log, for five minutes.
-    pub fn of(log: impl Into<std::path::PathBuf>) -> Self {
+    /// A search of five minutes.
+    pub fn of(contest: Contest) -> Self {
         Self {
-            input: Input {
-                path: log.into(),
-                ..Input::default()
-            },
-            settings: Settings::default(),
-            forms: Form::all(),
-            hold_out: None,
-            margin_m: None,
+            contest,
             budget_secs: 300.0,
         }
     }
@@ -77,14 +63,11 @@ impl Tuning {
     /// [`Error::Config`] before any work for options that do not fit together. If no method can be used, or time is up before
     /// anything was measured.
     pub fn run(&self, watch: &mut Watch<'_>) -> Result<Tuned> {
-        for form in &self.forms {
-            form.over(&self.settings)?;
-        }
-        self.margin_m
-            .map_or(Ok(()), |margin_m| check_length("--margin", margin_m))?;
-        let log = self.input.open(&mut Runs(watch))?;
+        let contest = &self.contest;
+        contest.check()?;
+        let log = contest.input.open(&mut Runs(watch))?;
         let scans = reference::length(&log)?;
-        let selection = held_out::selection(&self.input.selection, self.hold_out, HOLD_OUT, scans)?;
+        let selection = held_out::selection(&contest.input.selection, contest.hold_out, HOLD_OUT, scans)?;
         let Some(hold_out) = selection.hold_out else {
             return Err(Error::config("--tune needs held-out scans: --hold-out 2 or more"));
         };
@@ -92,8 +75,8 @@ impl Tuning {
             asked: self,
             log: &log,
             hold_out,
-            all_scans: self.input.selection.indices(scans).len(),
-            margin_m: self.margin_m.unwrap_or(log.suggested().map.truncation_m),
+            all_scans: contest.input.selection.indices(scans).len(),
+            margin_m: contest.margin_m(&log),
             start: Instant::now(),
             budget: Duration::try_from_secs_f64(self.budget_secs).ok(),
             skipped: Vec::new(),
@@ -121,9 +104,9 @@ struct Search<'a> {
 impl Search<'_> {
     /// Each form with each voxel size and truncation that are not set; the defaults of all forms first.
     fn candidates(&self) -> Result<Vec<Candidate>> {
-        let forms = &self.asked.forms;
+        let forms = &self.asked.contest.forms;
         let config = |form: &Form, voxel: f64, truncation: f64| {
-            let settings = form.over(&self.asked.settings)?;
+            let settings = form.over(&self.asked.contest.settings)?;
             let [voxel_is_set, truncation_is_set] =
                 ["voxel_size_m", "truncation_m"].map(|key| settings.has("map", key));
             let mut config = settings.resolve(self.log)?;
@@ -242,7 +225,7 @@ impl Search<'_> {
 
     /// So many scans from the middle, some of them held out.
     fn middle(&self, scans: usize) -> Selection {
-        let Selection { from, step, .. } = self.asked.input.selection;
+        let Selection { from, step, .. } = self.asked.contest.input.selection;
         let first = from + (self.all_scans - scans) / 2 * step;
         Selection {
             from: first,
@@ -255,7 +238,7 @@ impl Search<'_> {
     /// Fuses scans without the held-out ones, and looks at these; `None` when time is up.
     fn score(&mut self, candidate: &Candidate, scans: usize) -> Result<Option<Score>> {
         let Candidate { form, config } = candidate;
-        let (selection, skip_bad) = (self.middle(scans), self.asked.input.skip_bad);
+        let (selection, skip_bad) = (self.middle(scans), self.asked.contest.input.skip_bad);
         let setup = Setup {
             config: config.clone(),
             selection: selection.clone(),
@@ -294,11 +277,11 @@ impl Search<'_> {
     }
 
     fn command(&self, Candidate { form, config }: &Candidate) -> Result<String> {
-        let mut settings = form.over(&self.asked.settings)?;
+        let mut settings = form.over(&self.asked.contest.settings)?;
         settings.set("--voxel-size", "map.voxel_size_m", config.map.voxel_size_m)?;
         settings.set("--truncation", "map.truncation_m", config.map.truncation_m)?;
         Ok(command::of(&Job {
-            input: self.asked.input.clone(),
+            input: self.asked.contest.input.clone(),
             settings,
             outputs: Outputs {
                 mesh: Some("mesh.ply".into()),

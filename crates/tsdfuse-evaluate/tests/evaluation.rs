@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use tempfile::TempDir;
-use tsdfuse_evaluate::{Comparing, Error, Evaluation, Form, Progress, Tuning, in_this_process, tables};
+use tsdfuse_evaluate::{Comparing, Contest, Error, Evaluation, Form, Progress, Tuning, in_this_process, tables};
 use tsdfuse_io::plain::Writer;
 use tsdfuse_run::Job;
 use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
@@ -32,15 +32,18 @@ fn sphere() -> TempDir {
 }
 
 fn evaluation(log: &Path, forms: &[&str]) -> Evaluation {
-    Evaluation {
+    let contest = Contest {
         forms: Form::chosen(forms, &[]).unwrap(),
         hold_out: Some(4),
+        ..Contest::of(log)
+    };
+    Evaluation {
         runs: 2,
         comparing: Comparing {
             samples: Some(1000),
             ..Comparing::default()
         },
-        ..Evaluation::of(log)
+        ..Evaluation::of(contest)
     }
 }
 
@@ -115,10 +118,8 @@ fn without_any_method_that_can_be_used_the_reason_is_told() {
     assert_eq!(told, "no method could be run; raycast: on purpose");
     assert_eq!(calls.get(), 2);
     // Wrong options are found before anything is run.
-    let wrong = Evaluation {
-        margin_m: Some(f64::NAN),
-        ..evaluation(log.path(), &["raycast"])
-    };
+    let mut wrong = evaluation(log.path(), &["raycast"]);
+    wrong.contest.margin_m = Some(f64::NAN);
     assert!(matches!(wrong.run(&mut broken, &mut |_| {}), Err(Error::Config(_))));
     assert_eq!(calls.get(), 2);
 }
@@ -127,13 +128,13 @@ fn without_any_method_that_can_be_used_the_reason_is_told() {
 fn a_search_skips_bad_scans_as_all_runs_do() {
     let log = sphere();
     let name = break_a_scan(log.path());
-    let mut tuning = Tuning {
+    let mut tuning = Tuning::of(Contest {
         forms: Form::chosen(&["raycast"], &[]).unwrap(),
         hold_out: Some(4),
-        ..Tuning::of(log.path())
-    };
-    tuning.settings.set_text("map.voxel_size_m=0.1").unwrap();
-    tuning.settings.set_text("map.truncation_m=0.3").unwrap();
+        ..Contest::of(log.path())
+    });
+    tuning.contest.settings.set_text("map.voxel_size_m=0.1").unwrap();
+    tuning.contest.settings.set_text("map.truncation_m=0.3").unwrap();
     let mut notes = String::new();
     let mut watch = |progress: Progress<'_>| {
         if let Progress::Note(note) = progress {
@@ -142,7 +143,7 @@ fn a_search_skips_bad_scans_as_all_runs_do() {
     };
     assert!(tuning.run(&mut watch).is_err());
     assert!(notes.contains(&name), "{notes}");
-    tuning.input.skip_bad = true;
+    tuning.contest.input.skip_bad = true;
     let found = tuning.run(&mut |_| {}).unwrap();
     assert_eq!((found.ranking.len(), found.scans, found.all_scans), (1, 8, 8));
     assert_eq!(found.skipped_scans.len(), 1);

@@ -62,6 +62,8 @@ pub fn packed(bytes: &[u8]) {
     }
 }
 
+pub use map_file::with_group_checksums;
+
 /// The side files of a scan, and the times in its name.
 pub fn columns(bytes: &[u8]) {
     let path = Path::new(PATH);

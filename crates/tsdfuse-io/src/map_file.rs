@@ -130,6 +130,22 @@ pub(crate) fn groups(file: &[u8]) -> &[u8] {
         .unwrap_or_default()
 }
 
+/// For fuzzing: gives groups the checksums that fit their bytes.
+pub fn with_group_checksums(mut groups: &mut [u8]) {
+    while let Some((header, rest)) = groups.split_at_mut_checked(format::GROUP_HEADER + 4) {
+        let length = header[16..]
+            .first_chunk()
+            .map_or(0, |length| u32::from_le_bytes(*length));
+        let Some((packed, rest)) = rest.split_at_mut_checked(length as usize) else {
+            return;
+        };
+        header[20..24].copy_from_slice(&format::checksum(&[packed]).to_le_bytes());
+        let own = format::checksum(&[&header[..format::GROUP_HEADER]]);
+        header[format::GROUP_HEADER..].copy_from_slice(&own.to_le_bytes());
+        groups = rest;
+    }
+}
+
 impl Reader<BufReader<File>> {
     /// Opens a saved map and reads its header.
     ///

@@ -1,4 +1,6 @@
-//! NumPy's `.npz`: the observed voxels of a map as arrays, for `numpy.load`.
+//! NumPy's `.npz`: arrays for `numpy.load`, and the observed voxels of a map as such.
+//!
+//! What [`write()`] writes of a map:
 //!
 //! | array | type and shape | what |
 //! |---|---|---|
@@ -37,69 +39,114 @@ pub fn write_to(out: impl Write, map: &VoxelMap) -> io::Result<()> {
     let config = *map.config();
     let truncation_m = config.truncation_m as f32;
     let count = map.observed_voxel_count();
-    let mut archive = Archive(ZipWriter::new_stream(out));
-    archive.member("voxels", "<i4", &format!("({count}, 3)"), 12 * count, |out| {
-        for_each_voxel(map, |place, _| {
-            place
-                .to_array()
-                .iter()
-                .try_for_each(|c| out.write_all(&c.to_le_bytes()))
-        })
-    })?;
-    let shape = format!("({count},)");
-    archive.member("distances_m", "<f4", &shape, 4 * count, |out| {
-        for_each_voxel(map, |_, voxel| {
-            let distance_m = voxel.distance().unwrap_or_default() * truncation_m;
-            out.write_all(&distance_m.to_le_bytes())
-        })
-    })?;
-    archive.member("weights", "<f4", &shape, 4 * count, |out| {
-        for_each_voxel(map, |_, voxel| out.write_all(&voxel.weight().to_le_bytes()))
-    })?;
-    for (name, value) in [
-        ("voxel_size_m", config.voxel_size_m),
-        ("truncation_m", config.truncation_m),
-    ] {
-        archive.member(name, "<f8", "()", 8, |out| out.write_all(&value.to_le_bytes()))?;
-    }
-    archive.0.finish()?;
-    Ok(())
+    let distance_m = |voxel: Voxel| voxel.distance().unwrap_or_default() * truncation_m;
+    let mut arrays = Arrays::new(out);
+    arrays.add(
+        "voxels",
+        &[count, 3],
+        voxels(map).flat_map(|(place, _)| place.to_array()),
+    )?;
+    arrays.add("distances_m", &[count], voxels(map).map(|(_, voxel)| distance_m(voxel)))?;
+    arrays.add("weights", &[count], voxels(map).map(|(_, voxel)| voxel.weight()))?;
+    arrays.add("voxel_size_m", &[], [config.voxel_size_m])?;
+    arrays.add("truncation_m", &[], [config.truncation_m])?;
+    arrays.finish()
 }
 
-fn for_each_voxel(map: &VoxelMap, mut take: impl FnMut(IVec3, Voxel) -> io::Result<()>) -> io::Result<()> {
-    for (index, block) in map.regions().into_iter().flat_map(|region| map.blocks_of(region)) {
-        for (number, &voxel) in block.voxels.iter().enumerate().filter(|(_, v)| v.weight_sum > 0) {
-            take(voxel_at(index, number), voxel)?;
+fn voxels(map: &VoxelMap) -> impl Iterator<Item = (IVec3, Voxel)> {
+    let blocks = map.regions().into_iter().flat_map(|region| map.blocks_of(region));
+    blocks.flat_map(|(index, block)| {
+        let observed = block
+            .voxels
+            .iter()
+            .copied()
+            .enumerate()
+            .filter(|(_, v)| v.weight_sum > 0);
+        observed.map(move |(number, voxel)| (voxel_at(index, number), voxel))
+    })
+}
+
+/// A number that arrays are made of.
+pub trait Number: Copy {
+    /// NumPy's name of the type.
+    const KIND: &'static str;
+
+    /// Writes it, little-endian.
+    ///
+    /// # Errors
+    /// What the system says.
+    fn write_to(self, out: &mut impl Write) -> io::Result<()>;
+}
+
+macro_rules! numbers {
+    ($($number:ty: $kind:literal),*) => {$(
+        impl Number for $number {
+            const KIND: &'static str = $kind;
+
+            fn write_to(self, out: &mut impl Write) -> io::Result<()> {
+                out.write_all(&self.to_le_bytes())
+            }
         }
-    }
-    Ok(())
+    )*};
 }
 
-/// An archive in the making.
-struct Archive<W: Write>(ZipWriter<StreamWriter<W>>);
+numbers!(u8: "|u1", i32: "<i4", f32: "<f4", f64: "<f8");
 
-impl<W: Write> Archive<W> {
-    /// Adds an array of `bytes` bytes.
-    fn member(
+/// A file of arrays in the making.
+#[derive(Debug)]
+pub struct Arrays<W: Write>(ZipWriter<StreamWriter<W>>);
+
+impl<W: Write> Arrays<W> {
+    /// Without arrays so far.
+    pub fn new(out: W) -> Self {
+        Self(ZipWriter::new_stream(out))
+    }
+
+    /// Adds an array in C order; without a shape, it is a single number.
+    ///
+    /// # Errors
+    /// What the system says; `InvalidInput` if there are more or fewer values than the shape says.
+    pub fn add<T: Number>(
         &mut self,
         name: &str,
-        kind: &str,
-        shape: &str,
-        bytes: usize,
-        write: impl FnOnce(&mut ZipWriter<StreamWriter<W>>) -> io::Result<()>,
+        shape: &[usize],
+        values: impl IntoIterator<Item = T>,
     ) -> io::Result<()> {
+        let wanted: usize = shape.iter().product();
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Stored)
             .last_modified_time(DateTime::DEFAULT)
-            .large_file(bytes as u64 > u64::from(u32::MAX) - (1 << 16));
+            .large_file((wanted * size_of::<T>()) as u64 > u64::from(u32::MAX) - (1 << 16));
         self.0.start_file(format!("{name}.npy"), options)?;
-        self.0.write_all(&npy_header(kind, shape))?;
-        write(&mut self.0)
+        self.0.write_all(&npy_header(T::KIND, shape))?;
+        let mut count = 0;
+        for value in values {
+            value.write_to(&mut self.0)?;
+            count += 1;
+        }
+        if count == wanted {
+            return Ok(());
+        }
+        let told = format!("{name}: {count} values for an array of {wanted}");
+        Err(io::Error::new(io::ErrorKind::InvalidInput, told))
+    }
+
+    /// Writes the end.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn finish(self) -> io::Result<()> {
+        self.0.finish()?;
+        Ok(())
     }
 }
 
 /// What stands before the numbers of an array (NumPy's format 1.0), 64 bytes or a multiple.
-fn npy_header(kind: &str, shape: &str) -> Vec<u8> {
+fn npy_header(kind: &str, shape: &[usize]) -> Vec<u8> {
+    let shape: String = match shape {
+        [one] => format!("({one},)"),
+        all => format!("({})", all.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")),
+    };
     let mut text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
     let length = (text.len() + 11).next_multiple_of(64) - 10;
     text.extend(std::iter::repeat_n(' ', length - text.len() - 1));
@@ -149,5 +196,13 @@ mod tests {
             ("truncation_m.npy", 0.20f64.to_le_bytes().to_vec()),
         ];
         assert_eq!(seen, expected.map(|(name, bytes)| (name.to_owned(), bytes)));
+    }
+
+    #[test]
+    fn arrays_are_as_long_as_their_shape_says() {
+        let add = |count: u8| Arrays::new(Vec::new()).add("a", &[2, 3], 0..count);
+        assert!(add(6).is_ok());
+        assert_eq!(add(5).unwrap_err().to_string(), "a: 5 values for an array of 6");
+        assert!(add(7).is_err());
     }
 }

@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 
 use tsdfuse::glam::{DQuat, DVec3};
 use tsdfuse::trajectory::secs_between;
+pub use tsdfuse::trajectory::{MAX_GAP_SECS, Poses};
 use tsdfuse::{Pose, Trajectory};
 
 use crate::error::{Error, Result};
@@ -27,61 +28,12 @@ mod write;
 
 pub use write::{write, write_to};
 
-/// The longest time between two poses of a trajectory that is interpolated over, seconds.
-pub const MAX_GAP_SECS: f64 = 0.2;
-
-/// A pose that is this near in time needs no second one, seconds.
-const SAME_SECS: f64 = 1e-4;
-
-/// The poses of a file.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Poses {
-    /// KITTI: poses without times.
-    Listed(Vec<Pose>),
-    /// TUM: poses with times.
-    Timed(Trajectory),
-}
-
-impl Poses {
-    /// Applies `f` to each pose.
-    pub fn map(&mut self, f: impl FnMut(&Pose) -> Pose) {
-        *self = match self {
-            Self::Listed(poses) => Self::Listed(poses.iter().map(f).collect()),
-            Self::Timed(trajectory) => Self::Timed(trajectory.map(f)),
-        };
-    }
-
-    /// With times, if all poses have one and these ascend.
-    pub fn of(poses: impl Iterator<Item = (Option<i64>, Pose)> + Clone) -> Self {
-        let timed: Option<Vec<_>> = poses.clone().map(|(time_ns, pose)| Some((time_ns?, pose))).collect();
-        match timed.and_then(|timed| Trajectory::new(timed).ok()) {
-            Some(trajectory) => Self::Timed(trajectory),
-            None => Self::Listed(poses.map(|(_, pose)| pose).collect()),
-        }
-    }
-
-    fn len(&self) -> usize {
-        match self {
-            Self::Listed(poses) => poses.len(),
-            Self::Timed(trajectory) => trajectory.poses().len(),
-        }
-    }
-}
-
 /// The pose at a time, interpolated; or why there is none.
 pub(crate) fn at(trajectory: &Trajectory, time_ns: i64) -> Result<Pose, String> {
-    let [before, after] = trajectory.neighbours(time_ns);
-    if before
-        .zip(after)
-        .is_some_and(|(a, b)| secs_between(a.0, b.0) <= MAX_GAP_SECS)
-        && let Some(pose) = trajectory.at(time_ns)
-    {
+    if let Some(pose) = trajectory.near(time_ns) {
         return Ok(pose);
     }
-    let near = [before, after].into_iter().flatten();
-    if let Some((_, pose)) = near.clone().find(|(t, _)| secs_between(*t, time_ns).abs() <= SAME_SECS) {
-        return Ok(pose);
-    }
+    let near = trajectory.neighbours(time_ns).into_iter().flatten();
     let times: Vec<_> = near.map(|(t, _)| format!("{:.6}", secs_between(0, t))).collect();
     let (first, last) = trajectory.span_ns();
     Err(match times.as_slice() {
@@ -296,7 +248,7 @@ pub(crate) fn place(
             Ok(t.poses().iter().copied().zip(times).collect())
         }
         (Poses::Timed(_), None) => {
-            let (n, m) = (poses.len(), scans.len());
+            let (n, m) = (poses.poses().len(), scans.len());
             let reason =
                 format!("{n} poses with times for {m} scans without: their names hold none, nor does a times.txt");
             Err(Error::dataset(path, reason))

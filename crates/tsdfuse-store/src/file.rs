@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use hashbrown::HashMap;
 use rustc_hash::FxBuildHasher;
-use tsdfuse::index::{BlockIndex, RegionIndex};
-use tsdfuse::map::{Block, BlockPool, MapError, RegionBlocks};
+use tsdfuse::index::RegionIndex;
+use tsdfuse::map::{BlockPool, RegionBlocks};
 use tsdfuse_io::map_file::unpack;
 
 use crate::disk::{Disk, sync_folder};
@@ -178,9 +178,7 @@ impl StoreFile {
             .regions
             .get(&index)
             .ok_or_else(|| wrong("is not there".to_owned()))?;
-        let mut blocks = RegionBlocks::new(index, pool);
-        read_region(&self.disk, &stored.row, |index, block| blocks.insert(index, &block)).map_err(wrong)?;
-        Ok(blocks)
+        read_region(&self.disk, &stored.row, pool).map_err(wrong)
     }
 
     /// Commits everything written so far. Once this returns, it survives a crash; a crash before that leaves the last
@@ -271,31 +269,22 @@ pub(crate) fn read_index(disk: &Disk, header: &Header) -> Result<Index, String> 
     read(first).or_else(|reason| read(second).map_err(|_| reason))
 }
 
-/// Reads a region and passes its blocks to `take`.
+/// Reads a region.
 ///
 /// # Errors
-/// What is wrong with its bytes, or the error of `take`.
-pub(crate) fn read_region(
-    disk: &Disk,
-    row: &Row,
-    mut take: impl FnMut(BlockIndex, Block) -> Result<(), MapError>,
-) -> Result<(), String> {
+/// What is wrong with its bytes or its blocks.
+pub(crate) fn read_region(disk: &Disk, row: &Row, pool: &BlockPool) -> Result<RegionBlocks, String> {
     let record = disk.read(row.extent)?;
     let header = RegionHeader::parse(&record)?;
     if (header.index, header.sizes) != (row.index, row.sizes) {
         return Err("another region is in its place".to_owned());
     }
-    let mut blocks = 0;
-    let counted = |index, block| {
-        blocks += 1;
-        if blocks > row.sizes.blocks {
-            return Err(MapError::Occupied { block: index });
-        }
-        take(index, block)
-    };
-    unpack(header.packed(&record)?, counted).map_err(|e| e.to_string())?;
-    let is_whole = blocks == row.sizes.blocks;
-    is_whole.then_some(()).ok_or_else(|| "blocks are missing".to_owned())
+    let mut blocks = RegionBlocks::new(row.index, pool);
+    unpack(header.packed(&record)?, |index, block| blocks.insert(index, &block)).map_err(|e| e.to_string())?;
+    let is_whole = blocks.block_count() as u64 == row.sizes.blocks;
+    is_whole
+        .then_some(blocks)
+        .ok_or_else(|| "it has more or fewer blocks than it says".to_owned())
 }
 
 #[cfg(test)]

@@ -246,7 +246,10 @@ impl Index {
         let (config, integrations) = fields.state()?;
         let (count, checkpoint) = (fields.u64()?, fields.u64()?);
         let poses = has_poses.then(|| fields.u64()).transpose()?;
-        let regions = (0..count).map(|_| fields.row()).collect::<Result<_, _>>()?;
+        let regions = (0..count).map(|_| fields.row()).collect::<Result<Vec<_>, _>>()?;
+        if !regions.is_sorted_by(|a, b| a.index < b.index) {
+            return Err("its regions are not sorted".to_owned());
+        }
         let checkpoint = fields.bytes(checkpoint as usize)?.to_owned();
         let poses = poses.map(|length| unpack_poses(fields.bytes(length as usize)?).map_err(|e| e.to_string()));
         Ok(Self {
@@ -311,7 +314,8 @@ impl RegionHeader {
 const CHANGED: &str = "the checksum is another: bytes were changed or lost";
 const SHORT: &str = "it ends early";
 
-fn crc32(parts: &[&[u8]]) -> u32 {
+/// The CRC-32 of some parts, one after the other.
+pub(crate) fn crc32(parts: &[&[u8]]) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     parts.iter().for_each(|part| hasher.update(part));
     hasher.finalize()
@@ -387,6 +391,7 @@ impl<'a> Fields<'a> {
             truncation_m: self.array().map(f64::from_le_bytes)?,
             max_weight: self.array().map(f32::from_le_bytes)?,
         };
+        config.validate().map_err(|e| e.to_string())?;
         Ok((config, self.u32()?))
     }
 
@@ -509,6 +514,7 @@ mod tests {
             "region [-2147483648, -2, 3] lies outside of the grid"
         );
         assert_eq!(refused(vec![row(0, 513)]), "its sizes are impossible");
+        assert_eq!(refused(vec![row(2, 1), row(2, 1)]), "its regions are not sorted");
         let mut late = index_of(Vec::new());
         late.sequence = u64::MAX;
         assert_eq!(

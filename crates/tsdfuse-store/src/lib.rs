@@ -37,6 +37,8 @@ mod disk;
 mod error;
 mod file;
 mod format;
+#[doc(hidden)]
+pub mod fuzzing;
 mod paged_map;
 mod pager;
 mod salvage;

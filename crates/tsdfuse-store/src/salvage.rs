@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use hashbrown::HashMap;
 use rustc_hash::FxBuildHasher;
 use tsdfuse::index::{BlockIndex, RegionIndex};
-use tsdfuse::map::Block;
+use tsdfuse::map::{Block, BlockPool};
 use tsdfuse::{MapConfig, VoxelMap};
 use tsdfuse_io::atomic;
 use tsdfuse_io::map_file::{FusedPose, Writer};
@@ -24,6 +24,8 @@ use crate::format::{Extent, INDEX_HEADER, Index, PAGE, REGION_HEADER, REGION_MAR
 pub struct Salvage {
     path: PathBuf,
     disk: Disk,
+    /// Regions that are read take their memory from it.
+    pool: BlockPool,
     config: MapConfig,
     integrations: u32,
     checkpoint: Option<Vec<u8>>,
@@ -63,6 +65,7 @@ impl Salvage {
             path: path.to_owned(),
             reason,
         };
+        let pool = BlockPool::default();
         let mut damage = Damage::default();
         let header = header(&disk);
         if let Err(reason) = &header {
@@ -75,7 +78,7 @@ impl Salvage {
         let index = match index {
             Some(Ok(index)) => Ok(index),
             _ => {
-                let found = Found::search(&disk).map_err(&wrong)?;
+                let found = Found::search(&disk, &pool).map_err(&wrong)?;
                 let newest = header.as_ref().ok().map(|(header, _)| header.sequence);
                 found.newest_index(newest)
             }
@@ -84,6 +87,7 @@ impl Salvage {
             (Ok(index), _) => Self {
                 path: path.to_owned(),
                 disk,
+                pool,
                 config: index.state.config,
                 integrations: index.state.integrations,
                 checkpoint: Some(index.state.checkpoint),
@@ -97,6 +101,7 @@ impl Salvage {
             (Err(regions), Ok((header, _))) => Self {
                 path: path.to_owned(),
                 disk,
+                pool,
                 config: header.config,
                 integrations: header.integrations,
                 checkpoint: None,
@@ -116,10 +121,14 @@ impl Salvage {
     /// Removes the regions that cannot be read, and records them.
     fn drop_damaged(&mut self) {
         let Self {
-            disk, regions, damage, ..
+            disk,
+            pool,
+            regions,
+            damage,
+            ..
         } = self;
         regions.retain(|row| {
-            let Err(reason) = read_region(disk, row, |_, _| Ok(())) else {
+            let Err(reason) = read_region(disk, row, pool) else {
                 return true;
             };
             let index = row.index;
@@ -168,20 +177,17 @@ impl Salvage {
     /// [`StoreError::Region`] if the file has changed since [`Salvage::scan`], and what `visit` returns.
     pub fn for_each_block<E: From<StoreError>>(
         &self,
-        mut visit: impl FnMut(BlockIndex, Block) -> Result<(), E>,
+        mut visit: impl FnMut(BlockIndex, &Block) -> Result<(), E>,
     ) -> Result<(), E> {
-        let mut blocks = Vec::new();
         for row in &self.regions {
-            let keep = |index, block| {
-                blocks.push((index, block));
-                Ok(())
-            };
-            read_region(&self.disk, row, keep).map_err(|reason| StoreError::Region {
+            let region = read_region(&self.disk, row, &self.pool).map_err(|reason| StoreError::Region {
                 path: self.path.clone(),
                 region: row.index,
                 reason,
             })?;
-            blocks.drain(..).try_for_each(|(index, block)| visit(index, block))?;
+            let mut blocks: Vec<_> = region.blocks().collect();
+            blocks.sort_unstable_by_key(|(index, _)| *index);
+            blocks.into_iter().try_for_each(|(index, block)| visit(index, block))?;
         }
         Ok(())
     }
@@ -197,7 +203,7 @@ impl Salvage {
         };
         let mut map = VoxelMap::new(self.config).map_err(wrong)?;
         map.set_integrations(self.integrations);
-        self.for_each_block(|index, block| map.insert_block(index, block).map_err(wrong))?;
+        self.for_each_block(|index, block| map.insert_block(index, block.clone()).map_err(wrong))?;
         Ok(map)
     }
 
@@ -208,7 +214,7 @@ impl Salvage {
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let written = atomic::write(path, |out| {
             let mut writer = Writer::with_poses(out, &self.config, self.integrations, &self.poses)?;
-            let blocks = self.for_each_block(|index, block| Ok::<_, StoreError>(writer.block(index, &block)?));
+            let blocks = self.for_each_block(|index, block| Ok::<_, StoreError>(writer.block(index, block)?));
             blocks.map_err(|error| match error {
                 StoreError::Sink(error) => error,
                 error => std::io::Error::other(error),
@@ -221,7 +227,7 @@ impl Salvage {
 
 impl Found {
     /// Looks at the beginning of every page.
-    fn search(disk: &Disk) -> std::io::Result<Self> {
+    fn search(disk: &Disk, pool: &BlockPool) -> std::io::Result<Self> {
         let mut found = Self::default();
         let pages = disk.length()?.div_ceil(PAGE);
         for offset in (0..pages).map(|page| page * PAGE) {
@@ -234,7 +240,7 @@ impl Found {
             if Index::begins(&start) {
                 let _ = found.try_index(disk, offset, &start);
             } else if start.starts_with(&REGION_MARK) {
-                let _ = found.try_region(disk, offset, &start);
+                let _ = found.try_region(disk, offset, &start, pool);
             }
         }
         Ok(found)
@@ -249,7 +255,7 @@ impl Found {
         Ok(())
     }
 
-    fn try_region(&mut self, disk: &Disk, offset: u64, start: &[u8]) -> Result<(), String> {
+    fn try_region(&mut self, disk: &Disk, offset: u64, start: &[u8], pool: &BlockPool) -> Result<(), String> {
         let header = RegionHeader::parse(start)?;
         if self
             .regions
@@ -264,7 +270,7 @@ impl Found {
             sizes: header.sizes,
             extent: Extent { offset, length },
         };
-        read_region(disk, &row, |_, _| Ok(()))?;
+        read_region(disk, &row, pool)?;
         self.regions.insert(header.index, (header.sequence, row));
         Ok(())
     }

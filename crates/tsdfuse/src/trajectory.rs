@@ -5,6 +5,10 @@ use glam::DVec3;
 use crate::pose::{Interpolation, Pose};
 use crate::scan::PoseAt;
 
+/// The longest time between two poses that [`Trajectory::near`] interpolates over, seconds.
+pub const MAX_GAP_SECS: f64 = 0.2;
+/// A pose that is this near in time needs no second one, seconds.
+const SAME_SECS: f64 = 1e-4;
 /// Nanoseconds in a second.
 const NS_PER_SEC: f64 = 1e9;
 
@@ -28,6 +32,42 @@ pub struct Trajectory {
     /// Strictly ascending, as long as `poses`, not empty.
     times_ns: Vec<i64>,
     poses: Vec<Pose>,
+}
+
+/// Poses of a drive, of whatever frame: with or without times.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Poses {
+    /// Without times.
+    Listed(Vec<Pose>),
+    /// With times.
+    Timed(Trajectory),
+}
+
+impl Poses {
+    /// With times, if all poses have one and these ascend.
+    pub fn of(poses: impl Iterator<Item = (Option<i64>, Pose)> + Clone) -> Self {
+        let timed: Option<Vec<_>> = poses.clone().map(|(time_ns, pose)| Some((time_ns?, pose))).collect();
+        match timed.and_then(|timed| Trajectory::new(timed).ok()) {
+            Some(trajectory) => Self::Timed(trajectory),
+            None => Self::Listed(poses.map(|(_, pose)| pose).collect()),
+        }
+    }
+
+    /// The poses in order.
+    pub fn poses(&self) -> &[Pose] {
+        match self {
+            Self::Listed(poses) => poses,
+            Self::Timed(trajectory) => trajectory.poses(),
+        }
+    }
+
+    /// Applies `f` to each pose.
+    pub fn map(&mut self, f: impl FnMut(&Pose) -> Pose) {
+        *self = match self {
+            Self::Listed(poses) => Self::Listed(poses.iter().map(f).collect()),
+            Self::Timed(trajectory) => Self::Timed(trajectory.map(f)),
+        };
+    }
 }
 
 /// Why poses are not a trajectory.
@@ -121,6 +161,19 @@ impl Trajectory {
         }
         let s = secs_between(t0, time_ns) / secs_between(t0, t1);
         Some(Interpolation::new(before, after).at(s))
+    }
+
+    /// As [`Self::at`], but `None` also in gaps longer than [`MAX_GAP_SECS`], and up to 0.1 ms from a pose that pose itself.
+    pub fn near(&self, time_ns: i64) -> Option<Pose> {
+        let neighbours = self.neighbours(time_ns);
+        if let [Some(before), Some(after)] = neighbours
+            && secs_between(before.0, after.0) <= MAX_GAP_SECS
+        {
+            return self.at(time_ns);
+        }
+        let mut poses = neighbours.into_iter().flatten();
+        let near = poses.find(|(t, _)| secs_between(*t, time_ns).abs() <= SAME_SECS);
+        near.map(|(_, pose)| pose)
     }
 
     /// The trajectory with `f` applied to each pose: with `|pose| *pose * body_from_sensor`, for instance, that of a sensor.

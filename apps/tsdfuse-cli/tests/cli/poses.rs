@@ -23,6 +23,7 @@ fn trajectories_are_compared() {
     let truth = put("truth.txt", curve(250, 1.0, 0.0));
     let track = put("track.txt", curve(250, 1.02, 5.0));
     let plot = folder.text("both.svg");
+    let picture = folder.text("both.png");
     let found = tsdfuse(&["poses", "compare", &track, &truth, "--json", "--plot", &plot]);
     let found = found.succeeded().json();
     assert_eq!((&found["poses"], &found["left_out"]), (&250.into(), &0.into()));
@@ -33,6 +34,8 @@ fn trajectories_are_compared() {
     assert!((figure(&found["alignment"]["translation"][2]) + 5.0).abs() < 1e-6);
     assert!(figure(&found["absolute_m"]["rmse"]) > 0.5);
     assert!(fs::read_to_string(plot).unwrap().contains("<svg"));
+    tsdfuse(&["poses", "compare", &track, &truth, "--plot", &picture]).succeeded();
+    assert!(fs::read(picture).unwrap().starts_with(b"\x89PNG"));
     let as_they_are = tsdfuse(&["poses", "compare", &track, &truth, "--json", "--no-align"]);
     let as_they_are = as_they_are.succeeded().json();
     assert!(as_they_are["alignment"].is_null() && figure(&as_they_are["absolute_m"]["median"]) > 5.0);
@@ -49,7 +52,7 @@ fn trajectories_are_compared() {
         "{told}"
     );
     let told = tsdfuse(&["poses", "compare", &track, &truth, "--plot", "both.bmp"]).failed(2);
-    assert!(told.contains("both.bmp: a plot is drawn as .svg"), "{told}");
+    assert!(told.contains("both.bmp: a plot is drawn as .png or .svg"), "{told}");
 }
 
 #[test]

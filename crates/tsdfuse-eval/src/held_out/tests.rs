@@ -38,15 +38,6 @@ fn held_out(map: &VoxelMap, scan: &Scan) -> HeldOut {
 }
 
 #[test]
-fn the_middle_one_of_each_group_is_held_out() {
-    let of = |count: usize, every| (0..count).filter(|&i| is_held_out(i, every)).collect::<Vec<_>>();
-    assert_eq!(of(25, 10), [5, 15]);
-    assert_eq!(of(5, 2), [1, 3]);
-    assert_eq!(of(3, 3), [1]);
-    assert_eq!(of(9, 0), [0; 0]);
-}
-
-#[test]
 fn a_plane_is_foretold_up_to_the_noise_of_its_ranges() {
     let sigma_m = 0.02;
     let plane = scene::by_name("plane", 0).unwrap();
@@ -68,7 +59,7 @@ fn a_plane_is_foretold_up_to_the_noise_of_its_ranges() {
         scan
     };
     let fused: Vec<Scan> = (0..20)
-        .filter(|&i| !is_held_out(i, 10))
+        .filter(|&i| i % 10 != 5)
         .filter_map(|i| simulator.nth_scan(i))
         .collect();
     let map = map_of(&fused);

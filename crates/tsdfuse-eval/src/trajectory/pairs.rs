@@ -1,14 +1,7 @@
 //! Which pose of one trajectory belongs to which of the other.
 
-use tsdfuse::trajectory::secs_between;
+use tsdfuse::trajectory::{Poses, secs_between};
 use tsdfuse::{Pose, Trajectory};
-
-use super::Track;
-
-/// The longest time between two poses of a reference that is interpolated over, seconds.
-pub const MAX_GAP_SECS: f64 = 0.2;
-/// A pose that is this near in time needs no second one, seconds.
-const SAME_SECS: f64 = 1e-4;
 
 /// Why two trajectories cannot be compared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -51,9 +44,9 @@ pub(super) struct Pairs {
 }
 
 /// Matches poses by time where both have times, else by order.
-pub(super) fn pairs(track: &Track, reference: &Track) -> Result<Pairs, TrajectoryError> {
+pub(super) fn pairs(track: &Poses, reference: &Poses) -> Result<Pairs, TrajectoryError> {
     let pairs = match (track, reference) {
-        (Track::Timed(track), Track::Timed(reference)) => by_time(track, reference)?,
+        (Poses::Timed(track), Poses::Timed(reference)) => by_time(track, reference)?,
         _ => by_order(track.poses(), reference.poses())?,
     };
     let is_finite = |pose: &Pose| pose.rotation.is_finite() && pose.translation.is_finite();
@@ -66,7 +59,7 @@ pub(super) fn pairs(track: &Track, reference: &Track) -> Result<Pairs, Trajector
 
 fn by_time(track: &Trajectory, reference: &Trajectory) -> Result<Pairs, TrajectoryError> {
     let timed = track.times_ns().iter().zip(track.poses());
-    let matched = timed.filter_map(|(&time_ns, &pose)| Some((time_ns, [pose, at(reference, time_ns)?])));
+    let matched = timed.filter_map(|(&time_ns, &pose)| Some((time_ns, [pose, reference.near(time_ns)?])));
     let (times_ns, poses): (Vec<i64>, Vec<_>) = matched.unzip();
     let (Some(&first), Some(&last)) = (times_ns.first(), times_ns.last()) else {
         let span = |(first, last): (i64, i64)| [first, last].map(|ns| secs_between(0, ns));
@@ -80,20 +73,6 @@ fn by_time(track: &Trajectory, reference: &Trajectory) -> Result<Pairs, Trajecto
         poses,
         seconds: Some(secs_between(first, last)),
     })
-}
-
-/// The pose at a time, interpolated; `None` in gaps, and before and after all poses.
-fn at(trajectory: &Trajectory, time_ns: i64) -> Option<Pose> {
-    let [before, after] = trajectory.neighbours(time_ns);
-    if before
-        .zip(after)
-        .is_some_and(|(a, b)| secs_between(a.0, b.0) <= MAX_GAP_SECS)
-    {
-        return trajectory.at(time_ns);
-    }
-    let near = [before, after].into_iter().flatten();
-    let mut same = near.filter(|(t, _)| secs_between(*t, time_ns).abs() <= SAME_SECS);
-    same.next().map(|(_, pose)| pose)
 }
 
 fn by_order(track: &[Pose], reference: &[Pose]) -> Result<Pairs, TrajectoryError> {

@@ -1,6 +1,7 @@
 use std::f64::consts::TAU;
 
 use proptest::prelude::*;
+use tsdfuse::Trajectory;
 use tsdfuse::glam::{DQuat, DVec3};
 
 use super::*;
@@ -17,9 +18,9 @@ fn circle() -> Vec<Pose> {
     (0..(300.0 * TAU) as i32).map(pose).collect()
 }
 
-fn timed(poses: &[Pose], from_ns: i64) -> Track {
+fn timed(poses: &[Pose], from_ns: i64) -> Poses {
     let times = (0..).map(|i| from_ns + 100_000_000 * i);
-    Track::Timed(Trajectory::new(times.zip(poses.iter().copied()).collect()).unwrap())
+    Poses::Timed(Trajectory::new(times.zip(poses.iter().copied()).collect()).unwrap())
 }
 
 fn elsewhere() -> Pose {
@@ -37,7 +38,7 @@ fn close(a: f64, b: f64, tolerance: f64) -> bool {
 fn another_world_is_no_error() {
     let truth = circle();
     let moved: Vec<Pose> = truth.iter().map(|&pose| elsewhere() * pose).collect();
-    let found = compare(&Track::Listed(moved.clone()), &Track::Listed(truth.clone()), true).unwrap();
+    let found = compare(&Poses::Listed(moved.clone()), &Poses::Listed(truth.clone()), true).unwrap();
     let back = found.alignment.unwrap() * elsewhere();
     assert!(
         back.translation.length() < 1e-5 && angle(back.rotation) < 1e-9,
@@ -50,7 +51,7 @@ fn another_world_is_no_error() {
     assert!(found.last_m < 1e-6 && found.last_deg < 1e-6);
     assert!(found.kitti.unwrap().translation_percent < 1e-6);
     // Unless they are said to be of one world.
-    let found = compare(&Track::Listed(moved), &Track::Listed(truth), false).unwrap();
+    let found = compare(&Poses::Listed(moved), &Poses::Listed(truth), false).unwrap();
     assert!(found.alignment.is_none() && found.absolute_m.max > 4e6, "{found:?}");
 }
 
@@ -70,7 +71,7 @@ fn errors_are_those_that_were_made() {
         }
     };
     let track: Vec<Pose> = truth.iter().enumerate().map(off).collect();
-    let found = compare(&Track::Listed(track), &Track::Listed(truth), true).unwrap();
+    let found = compare(&Poses::Listed(track), &Poses::Listed(truth), true).unwrap();
     for (figure, want) in [
         (found.absolute_m.rmse, 0.03),
         (found.absolute_m.median, 0.03),
@@ -96,7 +97,7 @@ fn drift_is_relative_to_the_length() {
     };
     let truth: Vec<Pose> = (0..=300).map(pose(1.0, 0.0)).collect();
     let track: Vec<Pose> = (0..=300).map(pose(1.01, 0.01)).collect();
-    let found = compare(&Track::Listed(track), &Track::Listed(truth), true).unwrap();
+    let found = compare(&Poses::Listed(track), &Poses::Listed(truth), true).unwrap();
     // A piece is one pose longer than its length, as in KITTI's development kit.
     let expected = |lengths: &[f64], starts: &dyn Fn(f64) -> usize| {
         let counts: Vec<usize> = lengths.iter().map(|&l| starts(l)).collect();
@@ -134,7 +135,7 @@ fn orientations_decide_what_positions_leave_open() {
         };
         let truth: Vec<Pose> = (0..50).map(pose).collect();
         let moved: Vec<Pose> = truth.iter().map(|&pose| elsewhere() * pose).collect();
-        let found = compare(&Track::Listed(moved), &Track::Listed(truth), true).unwrap();
+        let found = compare(&Poses::Listed(moved), &Poses::Listed(truth), true).unwrap();
         assert!(
             found.absolute_m.max < 1e-4 && found.absolute_deg.max < 1e-3,
             "{length}: {found:?}"
@@ -160,9 +161,9 @@ fn poses_are_matched_by_time_or_else_by_order() {
     assert!(close(found.seconds.unwrap(), 188.2, 1e-9), "{:?}", found.seconds);
     assert!(found.absolute_m.max < 1e-9, "{:?}", found.absolute_m);
 
-    let told = |a: &Track, b: &Track| compare(a, b, true).unwrap_err().to_string();
+    let told = |a: &Poses, b: &Poses| compare(a, b, true).unwrap_err().to_string();
     assert_eq!(
-        told(&Track::Listed(truth[..7].to_vec()), &reference),
+        told(&Poses::Listed(truth[..7].to_vec()), &reference),
         "7 poses and 1884 of the reference, and not both have times: they cannot be matched"
     );
     assert_eq!(
@@ -170,29 +171,29 @@ fn poses_are_matched_by_time_or_else_by_order() {
         "no pose has a time within the reference: the poses run from 1000.000 to 1000.200 s, the reference from 0.000 to 188.300 s"
     );
     assert_eq!(
-        told(&Track::Listed(vec![]), &Track::Listed(vec![])),
+        told(&Poses::Listed(vec![]), &Poses::Listed(vec![])),
         "there are no poses"
     );
     let mut bad = truth.clone();
     bad[5].translation.x = f64::NAN;
     assert_eq!(
-        told(&Track::Listed(bad), &reference),
+        told(&Poses::Listed(bad), &reference),
         "pose 5 holds a number that is not finite"
     );
-    assert!(compare(&Track::Listed(truth), &reference, true).is_ok());
+    assert!(compare(&Poses::Listed(truth), &reference, true).is_ok());
 }
 
 #[test]
 fn short_drives_have_no_drift() {
     let found = compare(
-        &Track::Listed(circle()[..5].to_vec()),
-        &Track::Listed(circle()[..5].to_vec()),
+        &Poses::Listed(circle()[..5].to_vec()),
+        &Poses::Listed(circle()[..5].to_vec()),
         true,
     )
     .unwrap();
     assert!(found.drift.is_empty() && found.kitti.is_none());
-    let one = Track::Listed(vec![elsewhere()]);
-    let found = compare(&one, &Track::Listed(vec![Pose::IDENTITY]), true).unwrap();
+    let one = Poses::Listed(vec![elsewhere()]);
+    let found = compare(&one, &Poses::Listed(vec![Pose::IDENTITY]), true).unwrap();
     assert!(found.absolute_m.max < 1e-6 && found.absolute_deg.max < 1e-6 && found.last_m == 0.0);
 }
 
@@ -210,7 +211,7 @@ proptest! {
             ..*pose
         };
         let track: Vec<Pose> = truth.iter().zip(&errors).map(off).collect();
-        let found = compare(&Track::Listed(track.clone()), &Track::Listed(truth.clone()), true).unwrap();
+        let found = compare(&Poses::Listed(track.clone()), &Poses::Listed(truth.clone()), true).unwrap();
         let other = Pose {
             rotation: DQuat::from_scaled_axis(DVec3::from(turn)),
             translation: DVec3::from(shift),

@@ -121,6 +121,24 @@ fn damage_is_told_or_does_not_matter_and_what_is_intact_is_recovered() {
     assert!(told > CASES / 4 && recovered > CASES / 4, "{told} {recovered}");
 }
 
+/// Harmed files whose checksums are correct: what the fuzz target checks. `TSDFUSE_HARMS` tries more.
+#[test]
+fn harm_with_correct_checksums_is_told_or_makes_a_map() {
+    let dir = tempfile::tempdir().unwrap();
+    let (path, harmed) = (dir.path().join("a.store"), dir.path().join("b.store"));
+    let (sensor, scans) = drive();
+    let mut paged = new_store(&path);
+    fused_with_little(&mut paged, Method::Raycast, &sensor, &scans[..2], &[1, 2]);
+    drop(paged);
+    let bytes = std::fs::read(&path).unwrap();
+    let cases = std::env::var("TSDFUSE_HARMS").map_or(20, |cases| cases.parse().unwrap());
+    let mut runner = TestRunner::deterministic();
+    for _ in 0..cases {
+        let harm = harm().new_tree(&mut runner).unwrap().current();
+        tsdfuse_store::fuzzing::store(&harmed, &harm.to(&bytes));
+    }
+}
+
 /// Compares what was recovered with the map as it was; how many blocks there are.
 fn check_salvage(salvage: &Salvage, expected: &VoxelMap, harm: &Harm) -> usize {
     let map = salvage.map().unwrap();

@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Where the memory of a map's blocks comes from; for making regions on another thread.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct BlockPool(Arc<Pool>);
 
 /// The blocks of a region, outside of any map. Once it is dropped, maps of its pool use its memory again.
