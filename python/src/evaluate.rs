@@ -4,12 +4,10 @@ use std::path::PathBuf;
 
 use pyo3::prelude::*;
 use serde::Deserialize;
-use tsdfuse::Trajectory as EngineTrajectory;
-use tsdfuse_eval::trajectory::Track;
+use tsdfuse::trajectory::Poses;
 use tsdfuse_eval::{Protocol, Reference};
-use tsdfuse_evaluate::{Comparing, Evaluation, Form, Tuning, reference};
+use tsdfuse_evaluate::{Comparing, Contest, Evaluation, Form, Tuning, reference};
 use tsdfuse_io::OpenOptions;
-use tsdfuse_io::poses::Poses;
 use tsdfuse_run::{Input, Settings};
 
 use crate::arrays::Rows;
@@ -143,25 +141,21 @@ pub(crate) fn evaluate<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let asked: Asked = from_python(asked, "evaluate")?;
     let forms = Form::chosen(&asked.methods, &asked.method_set).or_raise()?;
+    let contest = Contest {
+        input: asked.input,
+        settings: asked.settings,
+        forms,
+        hold_out: asked.hold_out,
+        margin_m: asked.margin_m,
+    };
     if let Some(budget_secs) = asked.tune {
-        let tuning = Tuning {
-            input: asked.input,
-            settings: asked.settings,
-            forms,
-            hold_out: asked.hold_out,
-            margin_m: asked.margin_m,
-            budget_secs,
-        };
+        let tuning = Tuning { contest, budget_secs };
         let found = work(py, progress, |_, teller| {
             tuning.run(&mut |p| teller.measuring(p)).or_raise()
         })?;
         return to_python(py, &found);
     }
     let evaluation = Evaluation {
-        settings: asked.settings,
-        forms,
-        hold_out: asked.hold_out,
-        margin_m: asked.margin_m,
         comparing: Comparing {
             reference: asked.reference,
             every: asked.every,
@@ -173,8 +167,7 @@ pub(crate) fn evaluate<'py>(
         output: asked.output,
         keep_meshes: asked.keep_meshes,
         command_line: vec!["tsdfuse.evaluate".to_owned()],
-        input: asked.input,
-        ..Evaluation::of("")
+        ..Evaluation::of(contest)
     };
     let found = work(py, progress, |_, teller| {
         evaluation
@@ -200,9 +193,6 @@ pub(crate) fn compare_trajectories<'py>(
     to_python(py, &found)
 }
 
-fn track(trajectory: &Trajectory) -> Track {
-    match Poses::of(trajectory.poses.iter().copied()) {
-        Poses::Listed(poses) => Track::Listed(poses),
-        Poses::Timed(timed) => Track::Timed(EngineTrajectory::clone(&timed)),
-    }
+fn track(trajectory: &Trajectory) -> Poses {
+    Poses::of(trajectory.poses.iter().copied())
 }

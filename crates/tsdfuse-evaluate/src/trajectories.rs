@@ -279,7 +279,7 @@ mod tests {
         // The two lines are 1 % apart at their ends.
         assert!(count(TRACK) > 2000 && count(TURN) > 500 && count(BLACK) > 2000);
         // The numbers of the axis stand left of it.
-        let is_dark = |(at, pixel): (usize, &[u8; 3])| at % width < 100 && at / width < 1000 && pixel[0] < 128;
+        let is_dark = |(at, pixel): (usize, &[u8; 3])| at % width < 130 && at / width < 1000 && pixel[0] < 128;
         assert!(pixels.iter().enumerate().filter(|&pixel| is_dark(pixel)).count() > 500);
     }
 

@@ -1,7 +1,7 @@
 //! Binary glTF: what web viewers and modelling tools read; meshes are written and read.
 //!
-//! glTF has y up and positions in `f32`. So positions are relative to the middle of the mesh, rounded to whole metres,
-//! which becomes the translation of the mesh's node; the node above it turns z up into y up.
+//! In glTF, y points up and positions are `f32`. So positions are relative to the middle of the mesh, rounded to whole metres,
+//! which becomes the translation of the mesh's node. Its parent node rotates z up into y up.
 
 use std::io::{self, Error, ErrorKind, Write};
 use std::path::Path;
@@ -19,10 +19,10 @@ mod types;
 pub use read::parse;
 use types::{F32, U8, U32};
 
-/// Bytes of a position, a normal and a triangle; and of a colour.
+/// Bytes of a position, a normal or a triangle, and of a colour.
 const TRIPLE: usize = 12;
 const COLOR: usize = 4;
-/// glTF's numbers for what a part of the buffer is.
+/// glTF's constants for the targets of buffer views.
 const VERTICES: u32 = 34_962;
 const INDICES: u32 = 34_963;
 
@@ -42,7 +42,7 @@ pub fn write_to(out: impl Write, mesh: &Mesh) -> io::Result<()> {
     write_parts(out, mesh, &[])
 }
 
-/// As [`write_to`], with an sRGB colour of each vertex. glTF wants them linear, so that is how they are stored.
+/// As [`write_to`], with an sRGB colour for each vertex. They are stored as linear colours, as glTF requires.
 ///
 /// # Errors
 /// As [`write_to`]; `InvalidInput` also if there are not as many colours as vertices.

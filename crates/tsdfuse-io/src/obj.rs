@@ -1,6 +1,6 @@
 //! Wavefront OBJ: plain text that every modelling tool reads, several times the size of PLY.
 //!
-//! Of a file are read its `v` and `f` lines, whatever else it has; faces of more than three corners as fans of triangles.
+//! Only `v` and `f` lines are read; faces with more than three corners become fans of triangles.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -48,7 +48,7 @@ pub fn write_to(mut out: impl Write, mesh: &Mesh) -> io::Result<()> {
 /// Parses a mesh; `path` is for messages. Its normals are not read.
 ///
 /// # Errors
-/// Names the file and the line, and what is wrong: also a corner that is no vertex.
+/// Names the file, the line and what is wrong; also if a corner refers to no vertex.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Mesh> {
     let mut mesh = Mesh::default();
     let mut corners = Vec::new();
@@ -86,7 +86,7 @@ fn position<'a>(mut words: impl Iterator<Item = &'a str>) -> Result<DVec3, Strin
     Ok(DVec3::new(coordinate()?, coordinate()?, coordinate()?))
 }
 
-/// The vertex of `7`, `7/1`, `7//3` or `-1`, counted from 0; negative numbers count back from the last one so far.
+/// The vertex of `7`, `7/1`, `7//3` or `-1`, counted from 0; negative numbers count back from the last vertex so far.
 fn corner(word: &str, vertices: usize) -> Result<u32, String> {
     let number = word.split('/').next().unwrap_or_default();
     let number: i64 = number.parse().map_err(|_| format!("{word:?} is not a corner"))?;

@@ -6,9 +6,9 @@
 //! | `weight` | f4 (z, y, x) | W; 0 where nothing was observed |
 //! | `x`, `y`, `z` | f8 | where the centres of voxels are in the world, metres |
 //!
-//! `voxel_size_m` and `truncation_m` are attributes of the group. A chunk is a region of the map, 64³ voxels, compressed by gzip;
-//! the arrays span the box about all of them, but a region in which nothing was observed has no chunk. So arrays may be far larger than
-//! memory or disk; what is read is what is asked for.
+//! `voxel_size_m` and `truncation_m` are attributes of the group. Each chunk is a region of the map, 64³ voxels, compressed with gzip.
+//! The arrays span the bounding box of all regions, but regions without observed voxels have no chunk. So arrays may be far larger than
+//! memory or disk; only the chunks that are asked for are read.
 
 use std::iter::zip;
 use std::path::Path;
@@ -45,7 +45,7 @@ pub struct Volume<'a> {
 }
 
 impl<'a> Volume<'a> {
-    /// Begins the volume of a map, whose blocks lie in these regions, in a new folder.
+    /// Begins the arrays of a map with these regions in a new folder.
     ///
     /// # Errors
     /// As [`Folder::begin`]; also if there are no regions, or they are too far apart.
@@ -134,7 +134,7 @@ impl<'a> Volume<'a> {
             .map_err(|e| Error::dataset(self.target, e.to_string()))
     }
 
-    /// Gives the folder its name.
+    /// Renames the folder to its final name.
     ///
     /// # Errors
     /// As [`Folder::finish`].

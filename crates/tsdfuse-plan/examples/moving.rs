@@ -16,7 +16,10 @@ use tsdfuse_plan::{Moving, MovingConfig};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
-    let (path, labels) = arguments.next().zip(arguments.next()).ok_or("a log and a folder are wanted")?;
+    let (path, labels) = arguments
+        .next()
+        .zip(arguments.next())
+        .ok_or("a log and a folder are wanted")?;
     let options = OpenOptions {
         poses: arguments.next().map(Into::into),
         ..OpenOptions::default()
@@ -37,7 +40,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     times_ms.sort_by(f64::total_cmp);
     if let Some(median) = times_ms.get(times_ms.len() / 2) {
-        println!("{median:.1} ms a scan (median), {:.1} MB", 1e-6 * moving.memory_bytes() as f64);
+        println!(
+            "{median:.1} ms a scan (median), {:.1} MB",
+            1e-6 * moving.memory_bytes() as f64
+        );
     }
     Ok(())
 }

@@ -1,5 +1,7 @@
 //! Free space against brute force along each ray.
 
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // test helpers
+
 use std::collections::BTreeMap;
 
 use proptest::prelude::*;

@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 const U16: u32 = 5123;
 /// glTF's number for lists of triangles.
 const TRIANGLES: u32 = 4;
-/// Parts may be used many times; a mesh of more vertices or triangles than this for each byte of the file is a bomb.
+/// Meshes can be instanced many times. A scene with more vertices or triangles than this per byte of the file is refused.
 const MAX_EXPANSION: usize = 16;
 
 /// Parses all triangles of a file's scene, in world coordinates with z up; `path` is for messages. Normals are not read.

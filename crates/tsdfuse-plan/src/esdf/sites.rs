@@ -73,7 +73,8 @@ impl Sampler {
         let mut put = |point: DVec3| {
             let steps = lattice.steps_of(point);
             if steps.abs().max_element() < FAR {
-                samples.push(steps.floor().as_i64vec3());
+                // To the nearest step: voxel centres may lie on borders of cells.
+                samples.push((steps + 0.5).floor().as_i64vec3());
             }
         };
         piece.vertices.iter().copied().for_each(&mut put);

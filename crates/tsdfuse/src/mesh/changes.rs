@@ -7,13 +7,13 @@ use glam::{DVec3, Vec3};
 use super::{Mesh, near::Place};
 use crate::index::BlockIndex;
 
-/// The surface within the cells of one block, whole in itself: vertices on its border are also part of the pieces beside it, with
-/// the same position and normal, bit for bit.
+/// The surface within the cells of one block. It is self-contained: neighbouring pieces repeat the vertices on their common
+/// border, with the same position and normal, bit for bit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Piece<'a> {
     /// The block whose voxels are the first corners of the cells.
     pub block: BlockIndex,
-    /// Vertex positions, world, metres. None: the block has no surface any more.
+    /// Vertex positions, world, metres. Empty if the block no longer has any surface.
     pub vertices: &'a [DVec3],
     /// Unit normals, one per vertex.
     pub normals: &'a [Vec3],
@@ -25,7 +25,7 @@ pub struct Piece<'a> {
 #[derive(Debug, Default)]
 pub struct Changes {
     pub(super) chunks: Vec<Chunk>,
-    /// In order.
+    /// Sorted by block.
     pub(super) entries: Vec<Entry>,
 }
 
@@ -64,7 +64,7 @@ impl Changes {
 pub(super) struct Chunk {
     pub(super) mesh: Mesh,
     pub(super) entries: Vec<Entry>,
-    /// Of the entries' blocks: where they are, and what their surface depends on.
+    /// For each entry's block: its place, and the blocks that its surface depends on.
     pub(super) sources: Vec<(Place, u32)>,
 }
 

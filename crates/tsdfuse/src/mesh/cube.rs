@@ -10,8 +10,8 @@
 //!                          +--x
 //! ```
 //!
-//! On each face of the cube, every run of negative corners is cut off by one segment; so the two cells at a face always draw
-//! the same segments, and the surface has no cracks. The segments of the six faces close to loops, which are cut into triangles.
+//! On each face of the cube, every run of negative corners is cut off by one segment; so the two cells that share a face
+//! always draw the same segments, and the surface has no cracks. The segments of the six faces form loops, which are cut into triangles.
 
 use std::sync::LazyLock;
 
@@ -43,7 +43,7 @@ const FACES: [[usize; 4]; 6] = [
     [4, 5, 7, 6],
 ];
 
-/// The most triangles that a cell has.
+/// The largest number of triangles in a cell.
 pub(super) const MAX_TRIANGLES: usize = 5;
 
 /// What to draw in a cell.
@@ -109,7 +109,7 @@ pub fn triangles(negative: usize) -> Vec<[u8; 3]> {
     triangles
 }
 
-/// Cuts a polygon into the fan about one of its corners: the first for which no cut lies in a face of the cube. (A cut in a
+/// Cuts a polygon into a fan around one of its corners: the first one for which no cut lies in a face of the cube. (A cut in a
 /// face might be made by the neighbouring cell too, and four triangles would meet there.)
 fn fan(polygon: &[u8]) -> Vec<[u8; 3]> {
     let n = polygon.len();
@@ -120,7 +120,7 @@ fn fan(polygon: &[u8]) -> Vec<[u8; 3]> {
     (2..n).map(|k| [at(apex, 0), at(apex, k - 1), at(apex, k)]).collect()
 }
 
-/// Do two edges lie in one face of the cube?
+/// Whether two edges lie in the same face of the cube.
 fn share_face(a: u8, b: u8) -> bool {
     let corners = |edge: u8| EDGE_CORNERS[edge as usize];
     FACES

@@ -1,4 +1,4 @@
-//! F about the surface, and the vertices that follow from it.
+//! F near the surface, and the vertices that follow from it.
 
 use fearless_simd::{Simd, f32x8, i32x8, mask32x8, prelude::*};
 use glam::{DVec3, Vec3};
@@ -13,7 +13,7 @@ use crate::{
     map::{Block, Voxel},
 };
 
-/// Vertices keep this distance, in voxels, from the voxel centres: so no two share a position and no triangle is degenerate.
+/// Vertices keep this distance, in voxels, from voxel centres, so that no two vertices coincide and no triangle is degenerate.
 const MARGIN: f32 = 1e-3;
 
 /// Voxels −1 … 9 of each axis.
@@ -25,7 +25,7 @@ pub(super) const STRIDES: [usize; 3] = [1, EDGE, EDGE * EDGE];
 /// A power of two, so that places need no check.
 const PLACES: usize = 2048;
 
-/// F of a block's voxels and of a rim around it, where vertices need it; NaN where unobserved.
+/// F of a block's voxels and of a rim around it, as far as vertices need it; NaN where unobserved.
 pub(super) struct Distances {
     /// By [`place`].
     f: [f32; PLACES],
@@ -53,8 +53,8 @@ impl GridEdge {
         Self((4 * place(voxel) + axis) as u32 | (coordinates << 13))
     }
 
-    /// The centre of the first voxel of the block that owns it, of two that lie beside each other: so that a vertex has the same
-    /// position whoever works it out.
+    /// The centre of the first voxel of the block that owns the edge, so that a vertex has the same position whichever of two
+    /// neighbouring blocks computes it.
     #[inline(always)]
     fn origin(self, [own, after]: [DVec3; 2]) -> DVec3 {
         let of = |own, after, bit: u32| if self.0 >> bit & 1 == 0 { own } else { after };

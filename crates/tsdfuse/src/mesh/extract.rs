@@ -1,9 +1,9 @@
 //! Marching cubes over blocks: shared vertices, no cracks, the same mesh for any number of threads.
 //!
 //! A vertex lies on the grid edge between two neighbouring voxel centres. The block that holds the edge's lower voxel owns
-//! the vertex; it exists if any of the four cells about the edge is observed at all eight corners. Each block notes its
-//! vertices as set bits, so that any block finds the number of a neighbour's vertex by counting bits: no table of vertices,
-//! no merging afterwards.
+//! the vertex; it exists if all eight corners of at least one of the four cells around the edge are observed. Each block marks its
+//! vertices as set bits, so that any block can find the number of a neighbour's vertex by counting bits. There is no table of
+//! vertices, and nothing is merged afterwards.
 //!
 //! ```text
 //!   voxels ─▶ signs of each block, as bits            pass 1: the only one to read all voxels
@@ -28,7 +28,7 @@ use crate::{index::BlockIndex, map::VoxelMap};
 /// Blocks that one task handles.
 pub(super) const BLOCKS_PER_TASK: usize = 64;
 
-/// The surface of the map: every voxel that was observed counts.
+/// The surface of the map, from all observed voxels.
 ///
 /// # Errors
 /// [`MeshError::TooManyVertices`] beyond 2³² vertices.
@@ -57,7 +57,7 @@ pub fn extract_with(map: &VoxelMap, config: &MeshConfig) -> Result<Mesh, MeshErr
     extract_from(&Source { map, min_sum }, &signs, level)
 }
 
-/// As [`extract_with`], where the signs of all blocks are known.
+/// As [`extract_with`], if the signs of all blocks are known already.
 pub(super) fn extract_from(source: &Source<'_>, signs: &PerBlock<Signs>, level: Level) -> Result<Mesh, MeshError> {
     let map = source.map;
     let (mut patches, numbers) = patches(map, signs, level);
@@ -115,7 +115,7 @@ pub(super) fn extract_from(source: &Source<'_>, signs: &PerBlock<Signs>, level: 
     Ok(mesh)
 }
 
-/// What of a mesh is still to be filled.
+/// The part of a mesh that is still to be filled.
 #[derive(Default)]
 struct Rest<'a> {
     vertices: &'a mut [DVec3],
@@ -124,7 +124,7 @@ struct Rest<'a> {
 }
 
 impl<'a> Rest<'a> {
-    /// The first vertices and triangles, which are no longer part of the rest then.
+    /// Splits off the first vertices and triangles.
     fn split_off(&mut self, vertices: u32, triangles: u32) -> Self {
         Self {
             vertices: self.vertices.split_off_mut(..vertices as usize).unwrap_or_default(),
@@ -195,7 +195,7 @@ impl Patch {
         })
     }
 
-    /// Tells a block the numbers of the vertices that its cells share with this one, which lies beside it.
+    /// Passes to a neighbouring block the numbers of the vertices that its cells share with this one.
     #[inline(always)]
     fn lend(&self, mesher: &mut Mesher, offset: [i32; 3]) {
         let beside = offset.map(|o| o > 0);

@@ -5,8 +5,8 @@
 //!                                                      └─▶ cells, edges, vertices of these alone ─▶ pieces
 //! ```
 //!
-//! Kept per block are the signs of its voxels, and which of its neighbours its piece of the surface depends on: 132 bytes, 3 %
-//! of a block. Pieces themselves are not kept.
+//! For each block, the signs of its voxels are kept, and on which of its neighbours its piece of the surface depends: 132 bytes, 3 %
+//! of a block. The pieces themselves are not kept.
 
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{DVec3, Vec3};
@@ -28,9 +28,9 @@ use crate::{
     memory::prefetch,
 };
 
-/// The surface of a map that is fused into meanwhile, by pieces that changed.
+/// The surface of a map that is still being fused, as the pieces that changed.
 ///
-/// Tell it of every integration ([`Incremental::note`]), and ask as often as you like: after each scan, once a second, at the end.
+/// Report every integration ([`Incremental::note`]), and ask for changes as often as you like: after each scan, once a second, at the end.
 ///
 /// ```
 /// use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap, glam::Vec3, mesh::{Changes, Incremental}};
@@ -69,7 +69,7 @@ impl Default for Incremental {
 }
 
 impl Incremental {
-    /// For a map without blocks so far; else note all of its blocks first.
+    /// For a map without blocks. For any other map, note all of its blocks first.
     pub fn new(config: &MeshConfig) -> Self {
         Self {
             level: Level::new(),
@@ -88,10 +88,10 @@ impl Incremental {
         }
     }
 
-    /// Puts the pieces that may have changed since this was asked last into `changes`, in place of what was there. All pieces
-    /// together are the map's surface.
+    /// Replaces the contents of `changes` by the pieces that may have changed since the last call. All pieces together are the
+    /// map's surface.
     ///
-    /// The map must be the one whose updates were noted. Using the same [`Changes`] again saves asking for memory.
+    /// The map must be the one whose updates were noted. Reusing the same [`Changes`] avoids allocations.
     pub fn changes(&mut self, map: &VoxelMap, changes: &mut Changes) {
         self.read(map);
         let candidates = candidates(map, &std::mem::take(&mut self.untold));
@@ -140,7 +140,7 @@ impl Incremental {
         extract_from(&self.source(map), &self.signs, self.level)
     }
 
-    /// Bytes kept beside the map.
+    /// Memory used in addition to the map, in bytes.
     pub fn memory_bytes(&self) -> usize {
         self.signs.memory_bytes()
             + self.sources.memory_bytes()
@@ -234,7 +234,7 @@ impl Incremental {
     }
 }
 
-/// What a thread meshes with.
+/// The working memory of one thread.
 struct Workplace<'a> {
     source: Source<'a>,
     finder: Finder<'a>,
@@ -251,7 +251,7 @@ const AFTER: u32 = {
     all
 };
 
-/// Asks for the memory of a block before it is read.
+/// Prefetches a block.
 #[inline(always)]
 fn prefetch_block(block: &Block) {
     block.voxels.iter().step_by(8).for_each(prefetch);

@@ -15,7 +15,7 @@ use crate::{
     map::{Block, VoxelMap},
 };
 
-/// What meshing a block needs, kept from block to block.
+/// Working memory for meshing a block, reused from block to block.
 pub(super) struct Mesher {
     pub(super) near: Neighbourhood,
     distances: Distances,
@@ -35,7 +35,7 @@ impl Mesher {
         }
     }
 
-    /// Judges a block.
+    /// Finds the cells and edges of a block that the surface passes.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&mut self, simd: S, signs: &PerBlock<Signs>, places: &Near<Place>, cells: Cells) {
         let mut near: Near<&Signs> = [None; 27];
@@ -66,7 +66,7 @@ impl Mesher {
         }
     }
 
-    /// Notes the number of a vertex that is another block's.
+    /// Records the number of a vertex that belongs to another block.
     #[inline(always)]
     pub(super) fn set_number(&mut self, edge: GridEdge, number: u32) {
         self.numbers[edge.number()] = number;
@@ -77,7 +77,7 @@ impl Mesher {
         self.edges.len()
     }
 
-    /// Works out the numbered vertices of the block.
+    /// Computes the numbered vertices of the block.
     #[inline(always)]
     pub(super) fn vertices<S: Simd>(
         &mut self,

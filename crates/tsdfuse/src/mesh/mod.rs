@@ -41,11 +41,11 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// What is extracted.
+/// Which voxels become surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MeshConfig {
-    /// Voxels of less weight count as never observed.
+    /// Voxels with less weight count as unobserved.
     pub min_weight: f32,
 }
 
@@ -85,7 +85,7 @@ pub enum MeshError {
     TooManyVertices(u64),
 }
 
-/// What a mesh is like as a surface.
+/// The topology of a mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Topology {
     /// Edges with a triangle on one side only.
@@ -118,7 +118,7 @@ impl Topology {
 }
 
 impl Mesh {
-    /// Examines edges and vertices; costs a few sorts.
+    /// Examines edges and vertices. This takes a few sorts.
     pub fn topology(&self) -> Topology {
         let mut topology = Topology::default();
         for edge in self.sorted_edges().chunk_by(same_edge) {

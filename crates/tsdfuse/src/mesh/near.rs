@@ -8,7 +8,7 @@ use crate::{
     map::{Block, NO_SLOT, Shard, VoxelMap},
 };
 
-/// A block and its neighbours, or something of each: what belongs to the one at (x, y, z) − 1 has number x + 3y + 9z.
+/// Something for a block and each of its neighbours; the neighbour at offset (x, y, z) − 1 has number x + 3y + 9z.
 pub(crate) type Near<T> = [Option<T>; 27];
 
 /// The number in [`Near`] of the block itself.
@@ -92,7 +92,7 @@ pub(crate) struct PerBlock<T> {
 }
 
 impl<T: Send + Default> PerBlock<T> {
-    /// Asks all blocks of a map.
+    /// Computes it for all blocks of a map.
     pub(crate) fn of_all(map: &VoxelMap, of: impl Fn(&Block) -> T + Sync) -> Self {
         let shard = |shard: &Shard| {
             let slots = (0..shard.blocks().len()).into_par_iter();
@@ -107,7 +107,7 @@ impl<T: Send + Default> PerBlock<T> {
 }
 
 impl<T: Clone> PerBlock<T> {
-    /// Makes room for blocks that the map has by now.
+    /// Makes room for blocks that were added to the map.
     pub(crate) fn grow(&mut self, map: &VoxelMap, value: &T) {
         for (values, shard) in self.shards.iter_mut().zip(&map.shards) {
             values.resize(shard.blocks().len(), value.clone());
@@ -124,12 +124,12 @@ impl<T> Default for PerBlock<T> {
 }
 
 impl<T> PerBlock<T> {
-    /// Bytes held.
+    /// Memory used, in bytes.
     pub(crate) fn memory_bytes(&self) -> usize {
         self.shards.iter().map(|s| s.capacity() * size_of::<T>()).sum()
     }
 
-    /// What follows from each value.
+    /// Maps each value.
     pub(crate) fn map<U>(&self, of: impl Fn(&T) -> U) -> PerBlock<U> {
         PerBlock {
             shards: self.shards.iter().map(|s| s.iter().map(&of).collect()).collect(),

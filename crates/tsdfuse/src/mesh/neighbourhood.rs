@@ -1,5 +1,4 @@
-//! The signs of a block and of a rim around it, and what follows from them: the cells that the surface passes, and the grid
-//! edges that it crosses.
+//! The signs of a block and of a rim around it, and the cells and grid edges through which the surface therefore passes.
 
 use fearless_simd::{Simd, prelude::*, u16x16};
 
@@ -16,7 +15,7 @@ const LEN: usize = 12 * LAYER;
 
 /// Something of each row of voxels along x; that of row (y, z) has number [`row_of`]. In a row of bits, voxel x is bit x + 1.
 ///
-/// Numbers of rows beside each other differ by 1 or [`LAYER`], so that a whole layer is judged at once.
+/// The numbers of neighbouring rows differ by 1 or [`LAYER`], so that a whole layer can be processed at once.
 pub(super) type Rows = [u16; LEN];
 
 /// The bits of the block's own voxels in a row.
@@ -28,17 +27,17 @@ const OWN_ROWS: [u16; LAYER] = [0, OWN, OWN, OWN, OWN, OWN, OWN, OWN, OWN, 0, 0,
 /// The signs of one block and of the rim that its cells and edges see, x, y, z in −1..=8.
 #[derive(Clone, Debug)]
 pub(crate) struct Neighbourhood {
-    /// Was the voxel observed?
+    /// Whether the voxel was observed.
     valid: Rows,
-    /// Does the voxel lie behind the surface?
+    /// Whether the voxel lies behind the surface.
     negative: Rows,
-    /// Does the surface pass the cell above the voxel: observed at all corners, on both sides of the surface?
+    /// Whether the surface passes the cell above the voxel: all corners are observed, and they lie on both sides of the surface.
     surface: Rows,
-    /// Is there a vertex on the grid edge from the voxel along x, y and z?
+    /// Whether there is a vertex on the grid edge from the voxel along x, y and z.
     pub(super) edges: [Rows; 3],
 }
 
-/// What is asked of a block.
+/// Which edges are wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Cells {
     /// The edges of its cells, x, y, z in 0..=8, that these cells make vertices of.
@@ -55,7 +54,7 @@ impl Neighbourhood {
         edges: [[0; LEN]; 3],
     };
 
-    /// Judges a block by its signs and those of its neighbours.
+    /// Loads the signs of a block and of its neighbours.
     #[inline(always)]
     pub(crate) fn load<S: Simd>(&mut self, simd: S, near: &Near<&Signs>, cells: Cells) {
         self.valid = around(|n| near[n].map_or(&NO_BITS, |signs| &signs.valid));

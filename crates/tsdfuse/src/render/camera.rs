@@ -10,13 +10,13 @@ use crate::sensor::{Pinhole, Pixel, Projection, SensorModel};
 pub enum Camera {
     /// A pinhole camera; depths are along its optical axis.
     Pinhole(Pinhole),
-    /// A rotating LiDAR: a row for each beam, the highest on top, and a column for each firing, beginning straight ahead and
-    /// going clockwise ([`Projection`]). It sees no farther than its model says; depths are ranges.
+    /// A rotating LiDAR: one row per beam, the highest on top, and one column per firing, starting straight ahead and
+    /// continuing clockwise ([`Projection`]). It sees no farther than its model says; depths are ranges.
     Lidar(SensorModel),
 }
 
 impl Camera {
-    /// Pixels in a row, and rows.
+    /// Width and height of its image, in pixels.
     pub fn size(&self) -> (usize, usize) {
         match self {
             Self::Pinhole(camera) => (camera.width as usize, camera.height as usize),

@@ -1,4 +1,4 @@
-//! Single rays: what a measurement would have met, seen from where it was made.
+//! Single rays: the surface that a measurement would have hit.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -17,8 +17,8 @@ pub struct Ray {
 }
 
 impl Renderer<'_> {
-    /// What each ray meets first, if anything before it ends; depths are ranges. A ray that begins outside of the grid, and one
-    /// without direction, meets nothing.
+    /// The first surface that each ray hits before it ends, if any; depths are ranges. Rays that begin outside the grid or have no
+    /// direction hit nothing.
     pub fn cast(&self, rays: &[Ray]) -> Vec<Option<Hit>> {
         rays.par_iter().map(|ray| self.cast_one(ray)).collect()
     }

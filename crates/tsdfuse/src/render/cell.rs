@@ -11,8 +11,8 @@ use glam::Vec3;
 
 use crate::trilinear::{Corners, trilinear};
 
-/// A ray that enters a cell this little behind the surface came from the front: the cell before was left this side of it, but
-/// for rounding. In units of the truncation.
+/// A ray that enters a cell this little behind the surface came from the front; the difference is due to rounding. In units of
+/// the truncation.
 const ROUNDING: f32 = 1e-6;
 
 /// Where the way from `enter` to `leave` first crosses the surface from the front (F ≥ 0) to behind it (F < 0), as a share of

@@ -1,4 +1,4 @@
-//! What is seen, and why there is no view.
+//! Options of views, and errors.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,13 +6,13 @@ use super::tree;
 use crate::pose::PoseError;
 use crate::sensor::{PinholeError, SensorError};
 
-/// What is seen.
+/// Options of views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RenderConfig {
-    /// Voxels of less weight count as never observed.
+    /// Voxels with less weight count as unobserved.
     pub min_weight: f32,
-    /// What is farther from the camera is not seen.
+    /// Surface farther from the camera is not seen, metres.
     pub max_range_m: f32,
 }
 

@@ -1,4 +1,4 @@
-//! The map as rays need it: the blocks with surface and their neighbours, and the tree that finds them.
+//! The map, prepared for rays: the blocks with surface, their neighbours, and the tree that finds them.
 
 use fearless_simd::{Level, dispatch};
 use glam::{IVec3, Vec3};
@@ -102,12 +102,12 @@ impl<'a> Field<'a> {
         self.tree.reaches(base)
     }
 
-    /// How far the rays of a beam go before the first can meet surface.
+    /// How far the rays of a beam can go before any of them can hit surface.
     pub(super) fn clear_length(&self, beam: &Beam) -> f64 {
         self.tree.clear_length(beam)
     }
 
-    /// What a ray meets first.
+    /// The first surface that a ray hits.
     pub(super) fn meet(&self, ray: &Ray) -> Option<Hit> {
         self.tree.walk(ray, |visit| {
             let near = &self.blocks[visit.block as usize];

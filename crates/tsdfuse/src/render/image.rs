@@ -13,14 +13,14 @@ pub const WEIGHT_RANGE: [f32; 2] = [0.01, 100.0];
 /// What a picture shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ImageKind {
-    /// The surface as in the light of a lamp beside the camera and of the sky; grey on white.
+    /// The surface as lit by a lamp beside the camera and by the sky; grey on white.
     #[default]
     Shaded,
-    /// Normals as colours: red, green, blue = ½ + ½·(x, y, z), world axes; black where nothing is.
+    /// Normals as colours: red, green, blue = ½ + ½·(x, y, z), world axes; black where there is no surface.
     Normal,
-    /// Depths ([`Hit::depth_m`]) in millimetres, 16 bits; 0 where nothing is, 65535 from 65.535 m on.
+    /// Depths ([`Hit::depth_m`]) in millimetres, 16 bits; 0 where there is no surface, 65535 from 65.535 m on.
     Depth,
-    /// Weights as colours of the map "viridis", logarithmic over [`WEIGHT_RANGE`]; black where nothing is.
+    /// Weights in the colours of "viridis", logarithmic over [`WEIGHT_RANGE`]; black where there is no surface.
     Weight,
 }
 

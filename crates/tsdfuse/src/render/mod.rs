@@ -16,12 +16,12 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! **What is seen.** Between eight neighbouring voxel centres that were all observed the field is trilinear; a ray ends where
-//! it first falls from F ≥ 0 to F < 0, found exactly. Nothing is seen where one of the eight was never observed, so views
-//! invent no surface, and they show the very cells that [`crate::mesh`] makes triangles of.
+//! **What is seen.** Between eight neighbouring voxel centres that were all observed, the field is trilinear. A ray ends where
+//! it first falls from F ≥ 0 to F < 0; this point is found exactly. Nothing is seen where one of the eight was never observed.
+//! So views invent no surface: they show exactly the cells from which [`crate::mesh`] makes triangles.
 //!
-//! **What is not.** From behind (F rises from negative to positive) a ray passes, as in InfiniTAM: walls and ceilings that were
-//! only seen from the inside are transparent from the outside, so that one can look into a room from above.
+//! **What is not.** A ray passes through surface from behind (F rises from negative to positive), as in InfiniTAM. So walls and
+//! ceilings that were only seen from inside are transparent from outside, and one can look into a room from above.
 
 mod camera;
 mod cast;

@@ -9,7 +9,7 @@ use super::{Camera, RenderConfig, RenderError, View};
 use crate::index::BlockIndex;
 use crate::{Pose, VoxelMap};
 
-/// Rows and columns of pixels that look through the empty space before them together.
+/// Rows and columns of the tiles of pixels that cross empty space together.
 const TILE: [usize; 2] = [4, 8];
 
 /// A map, prepared for any number of views.
@@ -21,10 +21,10 @@ pub struct Renderer<'a> {
 }
 
 impl<'a> Renderer<'a> {
-    /// Finds the surface: the work of one or two views.
+    /// Finds the surface; this takes as long as one or two views.
     ///
     /// # Errors
-    /// [`RenderError`] for a configuration without sense, and for a map as wide as the Earth.
+    /// [`RenderError`] for an invalid configuration, and for a map as wide as the Earth.
     pub fn new(map: &'a VoxelMap, config: &RenderConfig) -> Result<Self, RenderError> {
         config.validate()?;
         Ok(Self {
@@ -37,7 +37,7 @@ impl<'a> Renderer<'a> {
     /// What a camera sees from a pose (`world_from_camera`; sensor frame: x forward, y left, z up).
     ///
     /// # Errors
-    /// [`RenderError`] for numbers that are no camera or no pose, and for a camera outside of the grid.
+    /// [`RenderError`] for an invalid camera or pose, and for a camera outside the grid.
     pub fn view(&self, camera: &Camera, world_from_camera: Pose) -> Result<View, RenderError> {
         camera.check()?;
         let Pose { rotation, translation } = Pose::new(world_from_camera.rotation, world_from_camera.translation)?;
