@@ -125,7 +125,7 @@ pub(crate) struct Inertial {
 }
 
 /// Whether samples are what they should be.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 struct Checks {
     /// Σ r gᵀ, Σ r rᵀ and Σ gᵀg of the turns of sweeps: r registered, g by the gyroscope.
     mixed: DMat3,
@@ -156,7 +156,15 @@ impl Inertial {
             gravity: None,
             errors: [0.0; 3],
             corrections: (DMat3::IDENTITY, DMat3::IDENTITY),
-            checks: Checks::default(),
+            // The default of a matrix is the identity.
+            checks: Checks {
+                mixed: DMat3::ZERO,
+                registered: DMat3::ZERO,
+                measured: 0.0,
+                is_turn_told: false,
+                is_force_told: false,
+                is_disagreement_told: false,
+            },
             report: ImuReport::default(),
         }
     }

@@ -306,7 +306,8 @@ impl Session {
         self.stopped = read.is_none() && self.stop.is_stopped();
         let Some(read) = read else {
             self.reading = None;
-            if let Placer::Odometry(tracking) = &mut self.placer {
+            // Of a run that was stopped, scans that are not placed yet wait for its going on.
+            if let (Placer::Odometry(tracking), false) = (&mut self.placer, self.stopped) {
                 let placed = tracking.finish();
                 self.fuse_placed(placed, 0.0, observer)?;
             }

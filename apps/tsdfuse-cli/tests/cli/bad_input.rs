@@ -61,11 +61,22 @@ fn a_log_without_poses_is_tracked_unless_its_own_are_asked_for() {
     assert_eq!(of_fuse.lines().count(), 8);
     tsdfuse(&["odometry", &log, "-o", &folder.text("alone.tum")]).succeeded();
     assert_eq!(fs::read_to_string(folder.path("alone.tum")).unwrap(), of_fuse);
-    let run = tsdfuse(&["fuse", &log, "-o", &mesh, "--store", &folder.text("run.store")]);
+    let line = tsdfuse(&[
+        "fuse",
+        &log,
+        "-o",
+        &mesh,
+        "--load-map",
+        &mesh,
+        "--poses",
+        "log",
+        "--initial-pose",
+        "1,2,x",
+    ]);
     assert!(
-        run.code == 2 && run.stderr.contains("tsdfuse odometry"),
+        line.code == 2 && line.stderr.contains("--initial-pose"),
         "{}",
-        run.stderr
+        line.stderr
     );
     let line = tsdfuse(&["evaluate", &log, "-o", &folder.text("methods"), "--poses", "track"]).failed(2);
     assert!(line.contains("tsdfuse odometry"), "{line}");
