@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use tsdfuse::VoxelMap;
 use tsdfuse::index::{BlockIndex, Grid, RegionIndex};
-use tsdfuse_io::map_file;
+use tsdfuse_io::map_file::Writer;
 
 use crate::data::to_python;
 use crate::error::{OrRaise, wrong};
@@ -104,20 +104,25 @@ struct Written {
     blocks: usize,
 }
 
-/// The blocks of a map that are wanted.
-fn part(map: &VoxelMap, regions: &[RegionIndex], wanted: impl Fn(BlockIndex) -> bool) -> PyResult<VoxelMap> {
-    let mut part = VoxelMap::new(*map.config()).or_raise()?;
-    part.set_integrations(map.integrations());
-    for &region in regions {
-        for (index, block) in map.blocks_of(region).filter(|(index, _)| wanted(*index)) {
-            part.insert_block(index, block.clone()).or_raise()?;
+/// Writes the blocks of some regions that are wanted, as a saved map; how many there were.
+fn write(
+    map: &VoxelMap,
+    regions: &[RegionIndex],
+    path: &Path,
+    wanted: impl Fn(BlockIndex) -> bool,
+) -> Result<usize, tsdfuse_io::Error> {
+    let mut blocks = 0;
+    tsdfuse_io::atomic::write(path, |out| {
+        let mut writer = Writer::new(out, map.config(), map.integrations())?;
+        for &region in regions {
+            for (index, block) in map.blocks_of(region).filter(|(index, _)| wanted(*index)) {
+                writer.block(index, block)?;
+                blocks += 1;
+            }
         }
-    }
-    Ok(part)
-}
-
-fn write(map: &VoxelMap, path: &Path) -> PyResult<()> {
-    map_file::write(path, map).or_raise()
+        writer.finish().map(drop)
+    })?;
+    Ok(blocks)
 }
 
 /// Writes a map cell by cell, `FOLDER/X_Y_Z.tsdf`; with `skin`, also the outermost blocks of each cell, `FOLDER/X_Y_Z.skin`, which its
@@ -146,22 +151,18 @@ pub(crate) fn write_cells<'py>(
         }
         let of_cell = |(cell, regions): &(IVec3, Vec<RegionIndex>)| {
             let path = folder.join(format!("{}_{}_{}.tsdf", cell.x, cell.y, cell.z));
-            let whole = part(map, regions, |_| true)?;
-            write(&whole, &path)?;
+            let blocks = write(map, regions, &path, |_| true)?;
             if skin {
                 let first = (*cell * edge) << REGION_SHIFT;
                 let last = first + (edge << REGION_SHIFT) - 1;
                 let is_outermost = |BlockIndex(b): BlockIndex| b.cmpeq(first).any() || b.cmpeq(last).any();
-                write(&part(map, regions, is_outermost)?, &path.with_extension("skin"))?;
+                write(map, regions, &path.with_extension("skin"), is_outermost)?;
             }
-            Ok(Written {
-                cell: cell.to_array(),
-                blocks: whole.block_count(),
-                path,
-            })
+            let cell = cell.to_array();
+            Ok(Written { cell, path, blocks })
         };
         let cells: Vec<_> = cells.into_values().collect();
-        cells.par_iter().map(of_cell).collect::<PyResult<Vec<_>>>()
+        cells.par_iter().map(of_cell).collect::<Result<Vec<_>, tsdfuse_io::Error>>().or_raise()
     })?;
     to_python(py, &written)
 }

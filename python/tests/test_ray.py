@@ -42,7 +42,7 @@ def whole(log: Path, tmp_path_factory: pytest.TempPathFactory) -> tsdfuse.Map:
 def united(work: Path, **options: Any) -> tsdfuse.Map:
     """All cells as one map."""
     made = tsdfuse.Map(**OPTIONS, **options)
-    made.merge(*sorted((work / "cells").glob("*.tsdf")))
+    made.merge(*(work / cell["map"]["name"] for cell in json.loads((work / "cells.json").read_text())))
     return made
 
 
@@ -149,7 +149,7 @@ def test_a_driver_that_is_started_again_does_nothing_twice(
     assert before["fuse"] == tasks["fuse"] == 3 and 3 <= before["merge-0"] < tasks["merge-0"] and before["tile"] == 0
     assert united(tmp_path / "city.work") == whole
     # A record that is missing is made again, and it and its files are the same.
-    files = {path: path.read_bytes() for path in (tmp_path / "city.work").glob("*/*.tsdf")}
+    files = {path: path.read_bytes() for path in (tmp_path / "city.work").rglob("*.tsdf")}
     records = tmp_path / "city.work/records"
     (records / "fuse" / "00000-0000005.json").unlink()
     for record in (records / "merge-0").glob("*.json"):

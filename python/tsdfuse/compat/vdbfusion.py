@@ -10,7 +10,7 @@ of which only constants are possible.
 from __future__ import annotations
 
 import os
-from typing import Any, Callable, Union, overload
+from typing import Any, Callable, Union, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,7 +60,7 @@ class VDBVolume:
             raise ConfigError("integrate: a grid of OpenVDB cannot be integrated; give points and the sensor's pose")
         weight: Any = given.get("weighting_function", given.get("weight", 1.0))
         if callable(weight):
-            weight = _constant(weight, self.sdf_trunc)
+            weight = _constant(cast("Callable[[float], float]", weight), self.sdf_trunc)
         if weight != 1.0:
             raise ConfigError(f"integrate: all weights are those of the method; {weight} is not possible")
         world = np.asarray(given["points"], dtype=np.float64)

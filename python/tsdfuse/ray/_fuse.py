@@ -67,8 +67,8 @@ def fuse(
 
     :param logs: one or many, in one world; their scans count in this order. Paths that all nodes see, or URLs of fsspec.
     :param output: ``NAME/tileset.json``: 3D Tiles, one tileset over those of all cells.
-    :param work: the folder for maps and records, shared by all nodes or a URL; ``NAME.work`` beside the output otherwise. Its ``cells`` are
-        saved maps, one for each cell.
+    :param work: the folder for maps and records, shared by all nodes or a URL; ``NAME.work`` beside the output otherwise. Its ``cells.json``
+        names the saved maps of all cells.
     :param span: scans of one task.
     :param memory_per_task: most memory for the map of one task; Ray starts no more tasks on a node than it has memory for.
     :param cpus_per_task: threads of one task.
@@ -147,6 +147,7 @@ class _Run:
             cells = self.by_span(spans)
         else:
             cells = self.by_cell(spans)
+        self.work.write("cells.json", [cells[name] for name in sorted(cells)])
         tiles = self.tile(cells)
         if not tiles:
             raise EmptyResultError("the map has no surface")
@@ -160,7 +161,7 @@ class _Run:
             "skipped_scans": self.skipped,
             "cells": len(cells),
             "tilesets": len(tiles),
-            "blocks": sum(record["blocks"] for _, record in cells.values()),
+            "blocks": sum(part["blocks"] for part in cells.values()),
             # Beyond max_weight voxels are means: not the bits of one machine.
             "limited_voxels": self.limited,
             "bytes": self.moved,
@@ -207,8 +208,8 @@ class _Run:
             raise EmptyResultError("there are no scans")
         return spans
 
-    def by_span(self, spans: list[Task]) -> dict[str, tuple[list[int], Record]]:
-        """Spans are fused, and their parts of each cell added by a tree of tasks."""
+    def by_span(self, spans: list[Task]) -> dict[str, Record]:
+        """Spans are fused, and their parts of each cell added by a tree of tasks. A cell that one span alone has seen is whole."""
         records = self.scheduler.run("fuse", _tasks.fuse_span, spans)
         parts: dict[str, list[Record]] = {}
         for span in spans:
@@ -216,36 +217,32 @@ class _Run:
             self.skipped += record["skipped"]
             self.fused += record["fused"]
             for part in record["parts"]:
-                self.moved["parts"] += part["bytes"]
+                self.moved["parts"] += part["map"]["bytes"]
                 parts.setdefault(named(part["cell"]), []).append(part)
         if not self.fused:
             raise EmptyResultError("none of the scans could be fused")
-        cells = {name: found[0]["cell"] for name, found in parts.items()}
-        level, done = 0, {}
+        done: dict[str, Record] = {}
+        level = 0
         while True:
-            tasks: list[Task] = []
-            for name, found in sorted(parts.items()):
-                whole = len(found) <= FAN_IN
-                for first in range(0, len(found), FAN_IN):
-                    into = f"merged/{level}-{first:06}-{name}.tsdf"
-                    tasks.append(
-                        {"name": f"{name}-{first:06}", "cell": cells[name], "parts": found[first : first + FAN_IN], "whole": whole, "into": into}
-                    )
+            done.update({name: found[0] for name, found in parts.items() if len(found) == 1})
+            parts = {name: found for name, found in parts.items() if len(found) > 1}
+            if not parts:
+                return done
+            tasks: list[Task] = [
+                {"name": f"{name}-{first:06}", "parts": found[first : first + FAN_IN], "into": f"merged/{level}-{first:06}-{name}"}
+                for name, found in sorted(parts.items())
+                for first in range(0, len(found), FAN_IN)
+            ]
             merged = self.scheduler.run(f"merge-{level}", _tasks.merge, tasks)
             parts = {}
             for task in tasks:
                 record = merged[task["name"]]
                 self.limited += record["limited"]
                 self.moved["merged"] += record["read"]
-                if task["whole"]:
-                    done[named(task["cell"])] = (task["cell"], record)
-                else:
-                    parts.setdefault(named(task["cell"]), []).append(record["part"])
+                parts.setdefault(named(record["part"]["cell"]), []).append(record["part"])
             level += 1
-            if not parts:
-                return done
 
-    def by_cell(self, spans: list[Task]) -> dict[str, tuple[list[int], Record]]:
+    def by_cell(self, spans: list[Task]) -> dict[str, Record]:
         """Each cell is fused from all scans that reach it, in order."""
         records = self.scheduler.run("survey", _tasks.survey_span, spans)
         reached: dict[str, dict[int, tuple[list[int], list[int]]]] = {}
@@ -260,27 +257,27 @@ class _Run:
                 at += [numbers[scan] for scan in found]
         if not reached:
             raise EmptyResultError("none of the scans could be fused")
-        tasks = [
+        tasks: list[Task] = [
             {
                 "name": name,
                 "cell": [int(x) for x in name.split("_")],
-                "whole": True,
                 "scans": [{"log": log, "scans": scans, "numbers": at} for log, (scans, at) in sorted(found.items())],
             }
             for name, found in sorted(reached.items())
         ]
         fused = self.scheduler.run("fuse", _tasks.fuse_cell, tasks)
-        return {task["name"]: (task["cell"], fused[task["name"]]) for task in tasks if fused[task["name"]]["cell"]}
+        return {task["name"]: fused[task["name"]]["part"] for task in tasks if fused[task["name"]]["part"]}
 
-    def tile(self, cells: dict[str, tuple[list[int], Record]]) -> dict[str, tuple[list[int], dict[str, Any]]]:
+    def tile(self, cells: dict[str, Record]) -> dict[str, tuple[list[int], dict[str, Any]]]:
         """Each cell's surface, with what its neighbours have at their borders."""
         tasks: list[Task] = []
-        for name, (cell, record) in sorted(cells.items()):
-            self.moved["cells"] += record["cell"]["bytes"]
-            around = [named([cell[0] + x, cell[1] + y, cell[2] + z]) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
-            skins = [cells[near][1]["skin"] for near in around if near != name and near in cells]
+        for name, part in sorted(cells.items()):
+            cell, near = part["cell"], (-1, 0, 1)
+            self.moved["cells"] += part["map"]["bytes"]
+            around = [named([cell[0] + x, cell[1] + y, cell[2] + z]) for x in near for y in near for z in near]
+            skins = [cells[other]["skin"] for other in around if other != name and other in cells]
             self.moved["skins"] += sum(skin["bytes"] for skin in skins)
-            tasks.append({"name": name, "cell": cell, "whole": record["cell"], "skins": skins})
+            tasks.append({"name": name, "cell": cell, "whole": part["map"], "skins": skins})
         records = self.scheduler.run("tile", _tasks.tile, tasks)
         self.moved["tiles"] += sum(record["tiles"]["bytes"] for record in records.values() if record["root"])
         roots: dict[str, tuple[list[int], dict[str, Any]]] = {}

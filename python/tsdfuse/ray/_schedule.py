@@ -75,10 +75,20 @@ class Scheduler:
                 "tasks": len(todo),
                 "done_before": before,
                 "wall_seconds": time.perf_counter() - begun,
-                "task_seconds": sum(sum(record.get("seconds", {}).values()) for record in records.values()),
+                "seconds": _summed(records, "seconds"),
+                "cpu_seconds": _summed(records, "cpu_seconds"),
             }
         )
         return records
+
+
+def _summed(records: dict[str, Record], key: str) -> dict[str, float]:
+    """What all tasks of a phase took, by stages."""
+    total: dict[str, float] = {}
+    for record in records.values():
+        for stage, seconds in record.get(key, {}).items():
+            total[stage] = total.get(stage, 0.0) + seconds
+    return total
 
 
 def _run(job: Task, task: Task, work: Work, name: str, cpus: float) -> Record:

@@ -12,6 +12,7 @@ import os
 import shutil
 import tempfile
 import uuid
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,12 @@ from ..errors import StoreError
 
 
 def checksum(path: Path) -> str:
-    """The checksum of a file."""
+    """The checksum of a file (CRC-32): it tells whether this is the file that was written; maps also have their own inside."""
+    found = 0
     with open(path, "rb") as file:
-        found = hashlib.blake2b(digest_size=16)
         while block := file.read(1 << 20):
-            found.update(block)
-    return found.hexdigest()
+            found = zlib.crc32(block, found)
+    return f"{found:08x}"
 
 
 class Folder:

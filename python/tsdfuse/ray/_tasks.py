@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
+from pathlib import Path as LocalPath
 from typing import Any
 
 import tsdfuse
@@ -14,6 +15,25 @@ from ._storage import Folder, fetched
 
 Task = dict[str, Any]
 Record = dict[str, Any]
+
+
+class Clock:
+    """What stages of a task took: wall time, and time of the processor."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.cpu_seconds: dict[str, float] = {}
+        self.last = time.perf_counter(), time.process_time()
+
+    def stage(self, name: str) -> None:
+        """Ends a stage."""
+        now = time.perf_counter(), time.process_time()
+        for stages, end, begin in zip((self.seconds, self.cpu_seconds), now, self.last):
+            stages[name] = stages.get(name, 0.0) + end - begin
+        self.last = now
+
+    def told(self) -> Record:
+        return {"seconds": self.seconds, "cpu_seconds": self.cpu_seconds}
 
 
 def named(cell: list[int]) -> str:
@@ -46,21 +66,20 @@ def look(job: Task, task: Task) -> Record:
 def fuse_span(job: Task, task: Task) -> Record:
     """Some scans, for methods that only add: the parts of cells that they make. Where memory ends, the map so far is written, and an
     empty one begun: sums can be added later."""
-    begun = time.perf_counter()
-    work = Folder(job["work"])
+    clock, work = Clock(), Folder(job["work"])
     parts: list[Record] = []
     skipped: list[str] = []
-    made, fused, writing = empty(job), 0, 0.0
+    made, fused = empty(job), 0
 
     def write() -> None:
-        nonlocal made, writing
-        start = time.perf_counter()
+        nonlocal made
+        clock.stage("fuse")
         with work.working() as folder:
-            for part in write_cells(made, folder, job["edge"]):
-                name = f"spans/{task['name']}/{len(parts):04}-{named(part['cell'])}.tsdf"
-                parts.append({"cell": part["cell"], **work.put(folder / f"{named(part['cell'])}.tsdf", name)})
+            for part in write_cells(made, folder, job["edge"], skin=True):
+                into = f"spans/{task['name']}/{len(parts):04}-{named(part['cell'])}"
+                parts.append(put(work, folder, part, into))
         made = empty(job)
-        writing += time.perf_counter() - start
+        clock.stage("write")
 
     for _, scan in scans(job, task["log"], task["scans"], skipped):
         try:
@@ -71,8 +90,18 @@ def fuse_span(job: Task, task: Task) -> Record:
         if made.memory_bytes > job["memory"]:
             write()
     write()
-    seconds = {"fuse": time.perf_counter() - begun - writing, "write": writing}
-    return {"parts": parts, "fused": fused, "skipped": skipped, "seconds": seconds}
+    return {"parts": parts, "fused": fused, "skipped": skipped, **clock.told()}
+
+
+def put(work: Folder, folder: LocalPath, cell: Record, into: str) -> Record:
+    """Shares a cell that was written, and what its neighbours need of it."""
+    name = named(cell["cell"])
+    return {
+        "cell": cell["cell"],
+        "blocks": cell["blocks"],
+        "map": work.put(folder / f"{name}.tsdf", f"{into}.tsdf"),
+        "skin": work.put(folder / f"{name}.skin", f"{into}.skin"),
+    }
 
 
 def skip(job: Task, skipped: list[str], error: Exception) -> None:
@@ -92,40 +121,31 @@ def scans(job: Task, log: int, numbers: list[int], skipped: list[str]) -> Iterat
 
 
 def merge(job: Task, task: Task) -> Record:
-    """Parts of one cell, added; at the root of the tree, the cell as a whole."""
-    begun = time.perf_counter()
-    work, limited, reading = Folder(job["work"]), 0, 0
+    """Parts of one cell, added."""
+    clock, work, limited, reading = Clock(), Folder(job["work"]), 0, 0
     made = empty(job)
     for part in task["parts"]:
-        with work.reading(part["name"], part["checksum"]) as path:
+        with work.reading(part["map"]["name"], part["map"]["checksum"]) as path:
             limited += made.merge(path)
-            reading += part["bytes"]
-    done = written(job, task, made)
-    return {**done, "limited": limited, "read": reading, "seconds": {"merge": time.perf_counter() - begun}}
+            reading += part["map"]["bytes"]
+    clock.stage("merge")
+    part = written(job, made, task["into"])
+    clock.stage("write")
+    return {"part": part, "limited": limited, "read": reading, **clock.told()}
 
 
-def written(job: Task, task: Task, made: tsdfuse.Map) -> Record:
-    """Writes the map of a cell, and what its neighbours need of it."""
+def written(job: Task, made: tsdfuse.Map, into: str) -> Record | None:
+    """Writes the map of one cell; ``None`` if all of it was erased again."""
     work = Folder(job["work"])
-    cell = named(task["cell"])
     with work.working() as folder:
-        if not task["whole"]:
-            made.save(folder / "part.tsdf")
-            return {"part": {"cell": task["cell"], **work.put(folder / "part.tsdf", task["into"])}}
-        cells = write_cells(made, folder, job["edge"], skin=True)
-        if not cells:  # all of it was erased again
-            return {"cell": None, "skin": None, "blocks": 0}
-        return {
-            "cell": work.put(folder / f"{cell}.tsdf", f"cells/{cell}.tsdf"),
-            "skin": work.put(folder / f"{cell}.skin", f"cells/{cell}.skin"),
-            "blocks": cells[0]["blocks"],
-        }
+        for cell in write_cells(made, folder, job["edge"], skin=True):
+            return put(work, folder, cell, into)
+    return None
 
 
 def survey_span(job: Task, task: Task) -> Record:
     """Which cells each of some scans may change, for methods that erase."""
-    begun = time.perf_counter()
-    asked = empty(job)
+    clock, asked = Clock(), empty(job)
     cells: dict[str, list[int]] = {}
     skipped: list[str] = []
     good: list[int] = []
@@ -138,13 +158,13 @@ def survey_span(job: Task, task: Task) -> Record:
         good.append(number)
         for cell in reached:
             cells.setdefault(named(cell), []).append(number)
-    return {"cells": cells, "good": good, "skipped": skipped, "seconds": {"survey": time.perf_counter() - begun}}
+    clock.stage("survey")
+    return {"cells": cells, "good": good, "skipped": skipped, **clock.told()}
 
 
 def fuse_cell(job: Task, task: Task) -> Record:
     """All scans that reach a cell, in order and with their own numbers; what they change elsewhere is forgotten."""
-    begun = time.perf_counter()
-    made = empty(job)
+    clock, made = Clock(), empty(job)
     first = [job["edge"] * x for x in task["cell"]]
     end = [job["edge"] + x for x in first]
     for part in task["scans"]:
@@ -153,16 +173,15 @@ def fuse_cell(job: Task, task: Task) -> Record:
         for number, scan in scans({**job, "skip_bad": False}, part["log"], part["scans"], []):
             made.fuse(scan, number=at[number])
             made.keep_regions(first, end)
-    fused = time.perf_counter() - begun
-    done = written(job, task, made)
-    seconds = {"fuse": fused, "write": time.perf_counter() - begun - fused}
-    return {**done, "fused": sum(len(part["scans"]) for part in task["scans"]), "seconds": seconds}
+    clock.stage("fuse")
+    part = written(job, made, f"cells/{named(task['cell'])}")
+    clock.stage("write")
+    return {"part": part, "fused": sum(len(part["scans"]) for part in task["scans"]), **clock.told()}
 
 
 def tile(job: Task, task: Task) -> Record:
     """The surface of a cell as 3D Tiles, beside those of its neighbours."""
-    begun = time.perf_counter()
-    work, output = Folder(job["work"]), Folder(job["output"])
+    clock, work, output = Clock(), Folder(job["work"]), Folder(job["output"])
     made, reading = empty(job), 0
     for part in [task["whole"], *task["skins"]]:
         with work.reading(part["name"], part["checksum"]) as path:
@@ -175,9 +194,10 @@ def tile(job: Task, task: Task) -> Record:
                 task["cell"], job["edge"], folder / name / "tileset.json", min_weight=job["min_weight"]
             )
         except tsdfuse.EmptyResultError:
-            return {"root": None, "read": reading, "seconds": {"tile": time.perf_counter() - begun}}
+            return {"root": None, "read": reading, **clock.told()}
         tileset = json.loads((folder / name / "tileset.json").read_text())
         output.put_all(folder / name, name)
     root = tileset["root"]
     told = {"box": root["boundingVolume"]["box"], "transform": root["transform"], "error": tileset["geometricError"]}
-    return {"root": told, "tiles": found, "read": reading, "seconds": {"tile": time.perf_counter() - begun}}
+    clock.stage("tile")
+    return {"root": told, "tiles": found, "read": reading, **clock.told()}
