@@ -162,7 +162,11 @@ pub(crate) fn write_cells<'py>(
             Ok(Written { cell, path, blocks })
         };
         let cells: Vec<_> = cells.into_values().collect();
-        cells.par_iter().map(of_cell).collect::<Result<Vec<_>, tsdfuse_io::Error>>().or_raise()
+        cells
+            .par_iter()
+            .map(of_cell)
+            .collect::<Result<Vec<_>, tsdfuse_io::Error>>()
+            .or_raise()
     })?;
     to_python(py, &written)
 }
