@@ -1,17 +1,17 @@
 //! `tsdfuse evaluate`: methods side by side on a log, as tables, plots and pictures.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::builder::PossibleValuesParser;
 use tsdfuse::MapConfig;
 use tsdfuse::glam::DVec3;
 use tsdfuse_eval::Protocol;
-use tsdfuse_evaluate::{Comparing, Contest, Evaluated, Evaluation, Form, Tuning, tables};
+use tsdfuse_evaluate::{Comparing, Contest, Evaluated, Evaluation, Form, ScanPoses, Tuning, tables};
 use tsdfuse_io::DEPTH_CAMERA_TRUNCATION_M;
 
 use crate::args::{LogArgs, parse_triple};
-use crate::exit::Outcome;
+use crate::exit::{Outcome, Usage};
 use crate::measuring::{Bars, told};
 use crate::output::{command_line, print, print_json};
 use crate::progress::{note, say};
@@ -21,12 +21,13 @@ const EXAMPLES: &str = "\
 What is compared: a mesh of all scans with the reference; and a map without every K-th scan with the returns of those \
 (hits, false surface, missing surface). The reference is --reference, or the true surface of a simulated log, or the \
 points of all scans. Each method runs in a process of its own; of several runs, methods take turns and the median speed \
-counts. What each figure means: docs/evaluation.md.
+counts. What each figure means: docs/evaluation.md. --poses given,refine,track compares each method with these poses.
 
 Examples:
   tsdfuse evaluate pandaset/002 -o pandaset-002
   tsdfuse evaluate street --methods raycast,raycast-projective --runs 5 -o street-methods
   tsdfuse evaluate kitti/sequences/00 --scans 0..200 --method-set raycast:map.voxel_size_m=0.1,map.truncation_m=0.3
+  tsdfuse evaluate kitti/sequences/00 --methods patch,raycast --poses given,refine,track
   tsdfuse evaluate kitti/sequences/00 --tune --budget 600";
 
 /// Compare methods on a log: error, completeness, held-out scans, speed and memory, as tables and an illustrated report.
@@ -88,11 +89,15 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
-    args.log.check_poses_known()?;
     let forms = Form::chosen(&args.methods, &args.method_set).map_err(told)?;
     if args.tune {
+        args.log.check_poses_known()?;
         return tune(args, forms);
     }
+    let forms = match args.poses()? {
+        Some(poses) => Form::with_poses(&forms, &poses),
+        None => forms,
+    };
     let evaluation = args.evaluation(forms)?;
     args.log.set_threads()?;
     let mut bars = Bars::default();
@@ -161,9 +166,33 @@ fn outcome(is_complete: bool) -> Outcome {
 }
 
 impl Args {
+    /// The kinds of poses that are compared, if `--poses` lists kinds: `given,refine,track`.
+    fn poses(&self) -> Result<Option<Vec<ScanPoses>>> {
+        let Some(text) = self.log.poses.as_deref().and_then(Path::to_str) else {
+            return Ok(None);
+        };
+        let kind = |word: &str| ScanPoses::ALL.into_iter().find(|kind| kind.name() == word);
+        let words: Vec<&str> = text.split(',').collect();
+        if !words.iter().any(|word| kind(word).is_some()) {
+            return Ok(None);
+        }
+        let kinds: Option<Vec<ScanPoses>> = words.iter().map(|word| kind(word)).collect();
+        match kinds {
+            Some(kinds) if (1..kinds.len()).all(|i| !kinds[..i].contains(&kinds[i])) => Ok(Some(kinds)),
+            _ => Err(Usage::new(format!(
+                "--poses {text}: expected given, refine and track, each once, or a file"
+            ))
+            .into()),
+        }
+    }
+
     fn contest(&self, forms: Vec<Form>) -> Result<Contest> {
+        let mut input = self.log.input();
+        if self.poses()?.is_some() {
+            input.options.poses = None;
+        }
         Ok(Contest {
-            input: self.log.input(),
+            input,
             settings: self.log.settings(None)?,
             forms,
             hold_out: self.hold_out.map(|every| every as usize),

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use tsdfuse_run::{Device, Job};
+use tsdfuse_run::{Device, Job, PosesFrom};
 
 /// Settings that have a flag of their own.
 const FLAGS: [(&str, &str); 6] = [
@@ -23,7 +23,16 @@ pub fn of(job: &Job) -> String {
     };
     let path = |path: &Option<_>| path.as_deref().map(|path: &Path| path.display().to_string());
     let input = &job.input;
-    option("--poses", path(&input.options.poses));
+    let file = path(&input.options.poses);
+    option(
+        "--poses",
+        match (job.poses, file) {
+            (PosesFrom::Any | PosesFrom::Log, file) => file,
+            (PosesFrom::Track, _) => Some("track".to_owned()),
+            (PosesFrom::Refine, None) => Some("refine".to_owned()),
+            (PosesFrom::Refine, Some(file)) => Some(format!("refine:{file}")),
+        },
+    );
     let sensors = input.options.sensors.join(",");
     option("--sensor", Some(sensors).filter(|sensors| !sensors.is_empty()));
     let selection = &input.selection;

@@ -5,6 +5,7 @@ use tsdfuse::fuse::Method;
 use tsdfuse_run::Settings;
 
 use crate::error::{Error, Result};
+use crate::scan_poses::ScanPoses;
 
 /// A method with settings of its own: a row of the tables.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -15,6 +16,8 @@ pub struct Form {
     pub method: Method,
     /// `key=value`, as [`Settings::set_text`] takes it. Empty: the method's default form.
     pub settings: Vec<String>,
+    /// Whose poses it fuses with.
+    pub poses: ScanPoses,
 }
 
 /// Forms of a method other than its default.
@@ -38,12 +41,14 @@ impl Form {
                 name: method.name().to_owned(),
                 method,
                 settings: Vec::new(),
+                poses: ScanPoses::Given,
             };
             let others = NOTABLE.iter().filter(move |other| other.0 == method);
             std::iter::once(default).chain(others.map(|(method, name, setting)| Self {
                 name: format!("{}-{name}", method.name()),
                 method: *method,
                 settings: vec![(*setting).to_owned()],
+                poses: ScanPoses::Given,
             }))
         });
         forms.collect()
@@ -71,6 +76,7 @@ impl Form {
             name: text.to_owned(),
             method: method.trim().parse().map_err(wrong)?,
             settings,
+            poses: ScanPoses::Given,
         })
     }
 
@@ -101,6 +107,22 @@ impl Form {
             Some(twice) => Err(Error::config(format_args!("{} is listed twice", chosen[twice].name))),
             None => Ok(chosen),
         }
+    }
+
+    /// Each form with each of these poses, as rows of their own.
+    pub fn with_poses(forms: &[Self], poses: &[ScanPoses]) -> Vec<Self> {
+        let with = |form: &Self, poses: ScanPoses| Self {
+            name: match poses {
+                ScanPoses::Given => form.name.clone(),
+                ScanPoses::Refine | ScanPoses::Track => format!("{} ({})", form.name, poses.name()),
+            },
+            poses,
+            ..form.clone()
+        };
+        let each = forms
+            .iter()
+            .flat_map(|form| poses.iter().map(move |&poses| (form, poses)));
+        each.map(|(form, poses)| with(form, poses)).collect()
     }
 
     /// Settings with this method and its own settings on top.
@@ -153,6 +175,20 @@ mod tests {
         assert_eq!(
             form.mesh_name(),
             "raycast_raycast.distance=projective_map.max_weight=9.ply"
+        );
+    }
+
+    #[test]
+    fn each_method_stands_beside_itself_with_other_poses() {
+        let forms = Form::chosen(&["patch", "raycast"], &[]).unwrap();
+        let names = |poses: &[ScanPoses]| {
+            let forms = Form::with_poses(&forms, poses);
+            forms.into_iter().map(|form| form.name).collect::<Vec<_>>()
+        };
+        assert_eq!(names(&[ScanPoses::Given]), ["patch", "raycast"]);
+        assert_eq!(
+            names(&[ScanPoses::Given, ScanPoses::Track]),
+            ["patch", "patch (track)", "raycast", "raycast (track)"]
         );
     }
 

@@ -20,8 +20,9 @@ use crate::form::Form;
 use crate::held_out::{self, HeldOutScans};
 use crate::page;
 use crate::pictures::{Gallery, Views};
+use crate::placed::{self, PlacedLog};
 use crate::plots;
-use crate::progress::{Progress, Runs, Watch};
+use crate::progress::{Progress, Watch};
 use crate::reference;
 use crate::results::{Data, Failed, Results, Row, Speed};
 use crate::table::Table;
@@ -42,8 +43,9 @@ impl Evaluation {
     /// written. A method that cannot be used is no error as long as there are others: see [`Results::failed`].
     pub fn run(&self, runner: &mut Runner<'_>, watch: &mut Watch<'_>) -> Result<Evaluated> {
         self.check()?;
-        let log = self.contest.input.open(&mut Runs(watch))?;
-        let place = Workplace::new(self, &log, watch)?;
+        let poses = tempfile::tempdir().map_err(Error::at(&std::env::temp_dir()))?;
+        let logs = placed::logs(&self.contest, poses.path(), watch)?;
+        let place = Workplace::new(self, &logs, watch)?;
         let (methods, failed, gallery) = place.run(runner, watch)?;
         let (results, folder) = place.results(methods, failed);
         let files = match folder.output() {
@@ -61,6 +63,9 @@ impl Evaluation {
 /// What all methods have in common.
 struct Workplace<'a> {
     asked: &'a Evaluation,
+    /// With each kind of poses.
+    logs: &'a [PlacedLog],
+    /// The first of them.
     log: &'a Log,
     indices: Vec<usize>,
     /// Which scans are fused, where some are held out.
@@ -71,7 +76,10 @@ struct Workplace<'a> {
 }
 
 impl<'a> Workplace<'a> {
-    fn new(asked: &'a Evaluation, log: &'a Log, watch: &mut Watch<'_>) -> Result<Self> {
+    fn new(asked: &'a Evaluation, logs: &'a [PlacedLog], watch: &mut Watch<'_>) -> Result<Self> {
+        let Some(PlacedLog { log, .. }) = logs.first() else {
+            return Err(Error::config("there is no method to evaluate"));
+        };
         let contest = &asked.contest;
         let input = &contest.input;
         let scans = reference::length(log)?;
@@ -91,6 +99,7 @@ impl<'a> Workplace<'a> {
         let truth = asked.comparing.read(&input.path, log, &indices, &range, watch)?;
         Ok(Self {
             asked,
+            logs,
             log,
             indices,
             selection,
@@ -167,9 +176,15 @@ impl<'a> Workplace<'a> {
         (results, self.folder)
     }
 
+    /// The log with the poses that a form fuses with.
+    fn placed(&self, form: &Form) -> &PlacedLog {
+        let own = self.logs.iter().find(|placed| placed.poses == form.poses);
+        own.unwrap_or(&self.logs[0])
+    }
+
     fn job(&self, form: &Form) -> Result<Job> {
         Ok(Job {
-            input: self.asked.contest.input.clone(),
+            input: self.placed(form).input.clone(),
             settings: form.over(&self.asked.contest.settings)?,
             ..Job::default()
         })
@@ -202,6 +217,8 @@ impl<'a> Workplace<'a> {
                 mesh: Some("mesh.ply".into()),
                 ..Outputs::default()
             },
+            input: self.asked.contest.input.clone(),
+            poses: form.poses.from(),
             ..self.job(form)?
         };
         let sums = &report.totals.sums;
@@ -244,7 +261,7 @@ impl<'a> Workplace<'a> {
         runner(&job).map_err(Error::Failed)?;
         let map = tsdfuse_io::map_file::read(&path)?;
         fs::remove_file(&path).map_err(Error::at(&path))?;
-        let (collector, _) = self.held_out.measure(self.log, &map, config)?;
+        let (collector, _) = self.held_out.measure(&self.placed(form).log, &map, config)?;
         let errors: Vec<f64> = collector.errors_m().iter().map(|e| e.abs()).collect();
         let histogram = Histogram::of(&errors, self.held_out.margin_m / BINS as f64, BINS);
         Ok(collector.result().map(|result| (result, histogram)))

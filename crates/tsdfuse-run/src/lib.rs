@@ -55,7 +55,7 @@ pub use session::Session;
 pub use settings::Settings;
 pub use setup::{Placing, Setup};
 pub use tracking::{PosesFrom, Track, TrackedScan, refine, track, write_poses};
-pub use tsdfuse_odometry::{ImuReport, OdometryConfig, Quality};
+pub use tsdfuse_odometry::{ImuReport, OdometryConfig, Quality, common_shift};
 
 /// The examples of the README, compiled.
 #[cfg(doctest)]

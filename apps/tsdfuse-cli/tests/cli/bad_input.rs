@@ -78,8 +78,10 @@ fn a_log_without_poses_is_tracked_unless_its_own_are_asked_for() {
         "{}",
         line.stderr
     );
-    let line = tsdfuse(&["evaluate", &log, "-o", &folder.text("methods"), "--poses", "track"]).failed(2);
+    let line = tsdfuse(&["evaluate", &log, "--tune", "--poses", "track"]).failed(2);
     assert!(line.contains("tsdfuse odometry"), "{line}");
+    let line = tsdfuse(&["evaluate", &log, "--poses", "given,given"]).failed(2);
+    assert!(line.contains("each once"), "{line}");
 }
 
 #[test]

@@ -1,0 +1,78 @@
+//! A log with poses of each kind that is asked for.
+
+use std::path::Path;
+
+use tsdfuse::Pose;
+use tsdfuse_io::map_file::FusedPose;
+use tsdfuse_io::{Log, Selection};
+use tsdfuse_run::{Event, Input, Stop, Track, common_shift, refine, track, write_poses};
+
+use crate::contest::Contest;
+use crate::error::{Error, Result};
+use crate::progress::{Progress, Runs, Watch};
+use crate::scan_poses::ScanPoses;
+
+/// A log with poses of one kind.
+pub(crate) struct PlacedLog {
+    pub(crate) poses: ScanPoses,
+    pub(crate) input: Input,
+    pub(crate) log: Log,
+}
+
+/// The log with each kind of poses that the methods ask for; files of poses go to a folder, which must stay.
+pub(crate) fn logs(contest: &Contest, folder: &Path, watch: &mut Watch<'_>) -> Result<Vec<PlacedLog>> {
+    let mut all: Vec<PlacedLog> = Vec::new();
+    for kind in ScanPoses::ALL {
+        if contest.forms.iter().any(|form| form.poses == kind) {
+            let (input, log) = match kind {
+                ScanPoses::Given => (contest.input.clone(), contest.input.open(&mut Runs(watch))?),
+                ScanPoses::Refine | ScanPoses::Track => found(kind, contest, folder, watch)?,
+            };
+            let poses = kind;
+            all.push(PlacedLog { poses, input, log });
+        }
+    }
+    Ok(all)
+}
+
+/// The log with refined or tracked poses, those of scans that are held out included.
+fn found(kind: ScanPoses, contest: &Contest, folder: &Path, watch: &mut Watch<'_>) -> Result<(Input, Log)> {
+    watch(Progress::At(match kind {
+        ScanPoses::Track => "tracking",
+        ScanPoses::Given | ScanPoses::Refine => "refining poses",
+    }));
+    let mut observer = Runs(watch);
+    let log = match kind {
+        ScanPoses::Track => contest.input.open_unplaced(&mut observer)?,
+        ScanPoses::Given | ScanPoses::Refine => contest.input.open(&mut observer)?,
+    };
+    let config = contest.settings.resolve(&log)?;
+    let (odometry, range, stop) = (config.odometry, config.range, Stop::default());
+    let all = Selection {
+        hold_out: None,
+        ..contest.input.selection.clone()
+    };
+    let Track { scans, .. } = match kind {
+        ScanPoses::Track => track(&log, &all, odometry, range, &stop)?,
+        ScanPoses::Given | ScanPoses::Refine => refine(&log, &all, odometry, range, &stop, &mut observer)?,
+    };
+    let given = scans
+        .iter()
+        .filter_map(|scan| Some((log.scans().get(scan.index)?.pose?, scan.pose.pose)));
+    let shift = match kind {
+        ScanPoses::Track => common_shift(&given.collect::<Vec<_>>()),
+        ScanPoses::Given | ScanPoses::Refine => Pose::IDENTITY,
+    };
+    let poses = scans.iter().map(|scan| FusedPose {
+        pose: shift * scan.pose.pose,
+        ..scan.pose
+    });
+    let path = folder.join(format!("{}.poses", kind.name()));
+    write_poses(&path, &poses.collect::<Vec<_>>())?;
+    let mut input = contest.input.clone();
+    input.options.poses = Some(path);
+    let log = input
+        .open(&mut |_: Event<'_>| {})
+        .map_err(|error| Error::failed(format_args!("the poses that were found do not fit the log: {error}")))?;
+    Ok((input, log))
+}
