@@ -186,6 +186,21 @@ pub(crate) fn parse_rough_pose(text: &str) -> Result<Pose, String> {
     }
 }
 
+/// Whether loops are closed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Loops {
+    // Where the sensor comes back, its way is corrected.
+    On,
+    // Poses stay as odometry found them.
+    Off,
+}
+
+impl Loops {
+    pub(crate) fn is_on(self) -> bool {
+        self == Self::On
+    }
+}
+
 /// What `--hold-out` may be.
 pub(crate) fn hold_out_range() -> RangedI64ValueParser<u32> {
     clap::value_parser!(u32).range(2..)

@@ -10,7 +10,7 @@ use tsdfuse::fuse::Method;
 use tsdfuse_run::report::Report;
 use tsdfuse_run::{Device, Job, Outputs};
 
-use crate::args::{LogArgs, Memory, hold_out_range, parse_rough_pose};
+use crate::args::{LogArgs, Loops, Memory, hold_out_range, parse_rough_pose};
 use crate::exit::{self, Outcome};
 use crate::output;
 use crate::terminal::{self, Terminal};
@@ -71,6 +71,9 @@ pub(crate) struct Args {
     /// Fuse on the CPU or a GPU (gpu:NAME: the one whose name contains NAME).
     #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
     device: Device,
+    /// Correct the poses that odometry finds, or that are refined, where the sensor comes back, before anything is fused.
+    #[arg(long, value_name = "on|off", default_value = "on")]
+    loops: Loops,
     #[command(flatten)]
     log: LogArgs,
     /// Leave out the middle one of every K scans, to test how well the map predicts it (see `tsdfuse evaluate`).
@@ -115,6 +118,7 @@ impl Args {
         let mut job = Job {
             input,
             poses: self.log.poses_from(),
+            open_loops: !self.loops.is_on(),
             settings: self.log.settings(self.method.as_deref())?,
             device: self.device.clone(),
             memory_bytes: self.memory.map(|memory| memory.0),

@@ -9,12 +9,13 @@ mod zarr;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Subcommand;
 use glam::{DQuat, DVec3, EulerRot};
 use serde::Serialize;
 use tsdfuse::{Pose, VoxelMap};
 use tsdfuse_io::map_file::{self, Damage, FusedPose, Reader};
+use tsdfuse_loops::{Alignment, Mapped};
 
 use tsdfuse_run::check_outputs;
 use tsdfuse_run::report::{MapReport, SavedMap};
@@ -33,6 +34,7 @@ Examples:
   tsdfuse map crop street.tsdf --from -20,-20,-3 --to 20,20,12 -o crossing.tsdf
   tsdfuse map resample street.tsdf --voxel-size 0.1 -o coarse.tsdf
   tsdfuse map transform street.tsdf --rotation 0,0,90 --translation 691000,5335000,0 -o utm.tsdf
+  tsdfuse map align monday.tsdf tuesday.tsdf -o tuesday-there.tsdf
   tsdfuse map repair broken.tsdf -o whole.tsdf
   tsdfuse map export street.tsdf -o street.npz
   tsdfuse map export drive.store -o drive.zarr
@@ -41,7 +43,7 @@ Examples:
 
 `tsdfuse info MAP` describes a map.";
 
-/// Merge, crop, resample, transform, repair and export saved maps; what robots ask of them.
+/// Merge, crop, resample, transform, align, repair and export saved maps; what robots ask of them.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
@@ -108,6 +110,16 @@ enum Operation {
         #[command(flatten)]
         out: Out,
     },
+    /// Bring a map into the frame of another one: places that both have are recognised, and the whole is registered. Then `map merge`
+    /// adds them.
+    Align {
+        /// The map that stays.
+        first: PathBuf,
+        /// The map that is moved.
+        second: PathBuf,
+        #[command(flatten)]
+        out: Out,
+    },
     /// Recover the intact parts of a damaged map.
     Repair {
         /// The map.
@@ -133,6 +145,9 @@ struct Out {
 struct Done {
     map: MapReport,
     saved_map: SavedMap,
+    /// How the second map was aligned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    alignment: Option<Aligned>,
     /// Merged voxels that are at the weight's limit: a mean of all maps, but not the bits that fusing would give.
     limited_voxels: Option<u64>,
     /// Whether the motion only renumbered voxels.
@@ -140,11 +155,29 @@ struct Done {
     damage: Option<Damage>,
 }
 
+/// How a map lies in the frame of another one.
+#[derive(Debug, Serialize)]
+struct Aligned {
+    /// The row-major 3×4 matrix.
+    first_from_second: [f64; 12],
+    /// Places along the second map's way that were looked for in the first.
+    places: usize,
+    /// Of these, those that were recognised and agree.
+    agreeing: usize,
+    /// Those that were recognised, and say something else.
+    contradicting: usize,
+    /// Root mean square of distances between both surfaces where both are, metres.
+    rms_m: f64,
+    /// Share of the second surface that lies where the first map has one.
+    common: f64,
+}
+
 /// A map, and what is to be said of it.
 struct Made {
     map: VoxelMap,
     /// Of its scans.
     poses: Vec<FusedPose>,
+    alignment: Option<Aligned>,
     limited_voxels: Option<u64>,
     exact: Option<bool>,
     damage: Option<Damage>,
@@ -155,6 +188,7 @@ impl From<(VoxelMap, Vec<FusedPose>)> for Made {
         Self {
             map,
             poses,
+            alignment: None,
             limited_voxels: None,
             exact: None,
             damage: None,
@@ -179,6 +213,7 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
     let done = Done {
         map: MapReport::of(&made.map),
         saved_map: SavedMap::written(&out.output, start),
+        alignment: made.alignment,
         limited_voxels: made.limited_voxels,
         exact: made.exact,
         damage: made.damage,
@@ -200,6 +235,7 @@ impl Operation {
             | Self::Crop { out, .. }
             | Self::Resample { out, .. }
             | Self::Transform { out, .. }
+            | Self::Align { out, .. }
             | Self::Repair { out, .. } => out,
         }
     }
@@ -208,6 +244,7 @@ impl Operation {
     fn inputs(&self) -> Vec<&Path> {
         match self {
             Self::Merge { maps, .. } => maps.iter().map(PathBuf::as_path).collect(),
+            Self::Align { first, second, .. } => vec![first, second],
             Self::Crop { map, .. }
             | Self::Resample { map, .. }
             | Self::Transform { map, .. }
@@ -249,6 +286,7 @@ impl Operation {
                     ..(moved, poses).into()
                 })
             }
+            Self::Align { first, second, .. } => align(first, second),
             Self::Repair { map, .. } if tsdfuse_store::recognises(map) => {
                 let salvage = Salvage::scan(map)?;
                 Ok(Made {
@@ -293,9 +331,69 @@ fn merge(paths: &[PathBuf]) -> Result<Made> {
     })
 }
 
+/// The second map in the frame of the first.
+fn align(first: &Path, second: &Path) -> Result<Made> {
+    let mapped = |path: &Path| {
+        let (map, poses) = read_with_poses(path)?;
+        if poses.is_empty() {
+            bail!(
+                "{}: does not tell the poses of its scans, along which places are looked for",
+                path.display()
+            );
+        }
+        let mapped = Mapped {
+            surface: tsdfuse::mesh::extract(&map)?.vertices,
+            poses: poses.iter().map(|fused| fused.pose).collect(),
+        };
+        Ok((map, poses, mapped))
+    };
+    let (_, _, there) = mapped(first)?;
+    let (map, mut poses, own) = mapped(second)?;
+    let Some(alignment) = tsdfuse_loops::align(&there, &own) else {
+        bail!(
+            "{}: too few places of it were recognised in {}, or they disagree: the map was not moved",
+            second.display(),
+            first.display()
+        );
+    };
+    let (moved, exact) = map
+        .transformed(&alignment.pose)
+        .with_context(|| second.display().to_string())?;
+    poses
+        .iter_mut()
+        .for_each(|fused| fused.pose = alignment.pose * fused.pose);
+    Ok(Made {
+        exact: Some(exact),
+        alignment: Some(alignment.into()),
+        ..(moved, poses).into()
+    })
+}
+
+impl From<Alignment> for Aligned {
+    fn from(alignment: Alignment) -> Self {
+        Self {
+            first_from_second: alignment.pose.to_row_major_3x4(),
+            places: alignment.places,
+            agreeing: alignment.agreeing,
+            contradicting: alignment.contradicting,
+            rms_m: alignment.rms_m,
+            common: alignment.common,
+        }
+    }
+}
+
 impl Done {
     /// Says what is odd, and whether something is lost.
     fn say(&self) -> bool {
+        if let Some(aligned) = &self.alignment {
+            say(format_args!(
+                "aligned by {} of {} places; {:.0} % of the surface is in both maps, {:.1} mm apart",
+                aligned.agreeing,
+                aligned.places,
+                100.0 * aligned.common,
+                1e3 * aligned.rms_m
+            ));
+        }
         if let Some(limited) = self.limited_voxels.filter(|&n| n > 0) {
             note(format_args!(
                 "{limited} voxels reached max_weight: they hold the mean of all maps, not the exact bits of fusing all scans"

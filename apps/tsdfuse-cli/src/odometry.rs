@@ -5,10 +5,11 @@ use std::time::Instant;
 
 use anyhow::Result;
 use serde::Serialize;
+use tsdfuse_io::g2o;
 use tsdfuse_run::report::OdometryReport;
 use tsdfuse_run::{PosesFrom, RunConfig, TrackedScan, check_outputs, refine, track, write_poses};
 
-use crate::args::LogArgs;
+use crate::args::{LogArgs, Loops};
 use crate::exit::{self, Outcome};
 use crate::output::print_json;
 use crate::progress::say;
@@ -31,6 +32,12 @@ pub(crate) struct Args {
     output: PathBuf,
     #[command(flatten)]
     log: LogArgs,
+    /// Correct the poses where the sensor comes back.
+    #[arg(long, value_name = "on|off", default_value = "on")]
+    loops: Loops,
+    /// Write the pose graph of the loops for g2o or GTSAM: local maps along the way, odometry and closures between them.
+    #[arg(long, value_name = "FILE.g2o")]
+    save_graph: Option<PathBuf>,
     /// Print each scan's quality as JSON.
     #[arg(long)]
     json: bool,
@@ -47,7 +54,12 @@ struct Tracks {
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     args.log.set_threads()?;
     let input = args.log.input();
-    check_outputs(&[&input.path], &[&args.output])?;
+    let outputs: Vec<_> = [Some(&args.output), args.save_graph.as_ref()]
+        .into_iter()
+        .flatten()
+        .map(PathBuf::as_path)
+        .collect();
+    check_outputs(&[&input.path], &outputs)?;
     let refines = args.log.poses_from() == PosesFrom::Refine;
     let mut terminal = Terminal::default();
     let log = if refines {
@@ -58,17 +70,21 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let config: RunConfig = args.log.settings(None)?.resolve(&log)?;
     let stop = exit::stop_on_interrupt()?;
     let start = Instant::now();
-    let (config, range) = (config.odometry, config.range);
+    let RunConfig { odometry, range, .. } = config;
+    let loops = args.loops.is_on().then_some(config.loops);
     let found = if refines {
-        refine(&log, &input.selection, config, range, &stop, &mut terminal)?
+        refine(&log, &input.selection, odometry, loops, range, &stop, &mut terminal)?
     } else {
-        track(&log, &input.selection, config, range, &stop)?
+        track(&log, &input.selection, odometry, loops, range, &stop)?
     };
     let seconds = start.elapsed().as_secs_f64();
     let report = found.report(seconds);
-    let scans = found.scans;
+    let (scans, graph) = (found.scans, found.graph);
     let poses: Vec<_> = scans.iter().map(|scan| scan.pose).collect();
     write_poses(&args.output, &poses)?;
+    if let (Some(path), Some(graph)) = (&args.save_graph, &graph) {
+        g2o::write(path, graph)?;
+    }
     say(format_args!(
         "{} scans over {:.1} m in {seconds:.2} s, {:.1} scans/s; poses in {}",
         scans.len(),
@@ -76,6 +92,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         scans.len() as f64 / seconds,
         args.output.display()
     ));
+    crate::terminal::loops(&report);
     crate::terminal::doubts(&report, scans.len());
     if args.json {
         print_json(&Tracks { report, scans })?;

@@ -2,6 +2,7 @@
 
 use indicatif::{BinaryBytes, HumanCount, ProgressBar};
 use tsdfuse::glam::DVec3;
+use tsdfuse_run::LoopsReport;
 use tsdfuse_run::report::{
     FinishReport, MapReport, MeshReport, OdometryReport, Report, SavedMap, TilesReport, Totals, ViewReport,
 };
@@ -91,7 +92,40 @@ fn odometry(report: &OdometryReport, scans: usize) {
         "  poses    by odometry over {:.1} m, in {:.2} s",
         report.distance_m, report.seconds
     ));
+    loops(report);
     doubts(report, scans);
+}
+
+/// Which places were seen before.
+pub(crate) fn loops(report: &OdometryReport) {
+    let Some(LoopsReport {
+        closures, distrusted, ..
+    }) = &report.loops
+    else {
+        return;
+    };
+    if let (Some(first), Some(last)) = (closures.first(), closures.last()) {
+        let off = closures.iter().map(|closure| closure.off_m).fold(0.0, f64::max);
+        say(format_args!(
+            "  loops    {} closures, from scan {} at scan {} to scan {} at scan {}; up to {off:.3} m were corrected at once",
+            closures.len(),
+            first.earlier,
+            first.later,
+            last.earlier,
+            last.later
+        ));
+    }
+    let doubted = closures.iter().filter(|closure| closure.is_doubted).count();
+    if doubted > 0 {
+        say(format_args!(
+            "  note: {doubted} closures disagree with the rest, and hardly count"
+        ));
+    }
+    if *distrusted > 0 {
+        say(format_args!(
+            "  note: {distrusted} places look like an earlier one that is too far away by odometry: not taken for the same"
+        ));
+    }
 }
 
 /// Where poses of odometry are not to be trusted.

@@ -47,14 +47,16 @@ fn found(kind: ScanPoses, contest: &Contest, folder: &Path, watch: &mut Watch<'_
         ScanPoses::Given | ScanPoses::Refine => contest.input.open(&mut observer)?,
     };
     let config = contest.settings.resolve(&log)?;
-    let (odometry, range, stop) = (config.odometry, config.range, Stop::default());
+    // As `fuse` does by default.
+    let (odometry, loops) = (config.odometry, Some(config.loops));
+    let (range, stop) = (config.range, Stop::default());
     let all = Selection {
         hold_out: None,
         ..contest.input.selection.clone()
     };
     let Track { scans, .. } = match kind {
-        ScanPoses::Track => track(&log, &all, odometry, range, &stop)?,
-        ScanPoses::Given | ScanPoses::Refine => refine(&log, &all, odometry, range, &stop, &mut observer)?,
+        ScanPoses::Track => track(&log, &all, odometry, loops, range, &stop)?,
+        ScanPoses::Given | ScanPoses::Refine => refine(&log, &all, odometry, loops, range, &stop, &mut observer)?,
     };
     let given = scans
         .iter()

@@ -7,7 +7,7 @@ use crate::pandaset::{cameras, frames};
 use crate::pickle::DataFrame;
 use crate::rgbd::image::{self, ImageSize};
 use crate::rgbd::{camera, seven_scenes, tum};
-use crate::{bin, calib, cloud, files, folder, glb, kitti_raw, map_file, obj, pcd, ply, poses, ros, times};
+use crate::{bin, calib, cloud, files, folder, g2o, glb, kitti_raw, map_file, obj, pcd, ply, poses, ros, times};
 
 const PATH: &str = "input";
 
@@ -137,6 +137,11 @@ pub fn bin(bytes: &[u8]) {
 /// Poses, KITTI or TUM.
 pub fn poses(bytes: &[u8]) {
     let _ = poses::parse(Path::new(PATH), bytes);
+}
+
+/// A pose graph.
+pub fn g2o(bytes: &[u8]) {
+    let _ = g2o::parse(Path::new(PATH), bytes);
 }
 
 /// The times of scans.

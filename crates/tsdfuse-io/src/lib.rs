@@ -13,6 +13,7 @@ mod files;
 pub mod folder;
 #[doc(hidden)]
 pub mod fuzzing;
+pub mod g2o;
 pub mod geometry;
 pub mod glb;
 pub mod kitti;

@@ -102,6 +102,16 @@ const UNDETERMINED_M: f64 = 0.1;
 const UNMATCHED: f64 = 0.5;
 
 impl Quality {
+    /// Of a scan whose pose is given.
+    pub const GIVEN: Self = Self {
+        covered: 1.0,
+        matched: 1.0,
+        rms_m: 0.0,
+        position_sigma_m: 0.0,
+        worst_direction: [0.0; 3],
+        passes: 0,
+    };
+
     pub(crate) fn of(registered: &Registered) -> Self {
         let rigid = &registered.rigid;
         let shifts = rigid.fixed_view::<3, 3>(0, 0).into_owned();

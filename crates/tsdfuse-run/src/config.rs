@@ -8,6 +8,7 @@ use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::surfel::SurfelConfig;
 use tsdfuse_io::Log;
+use tsdfuse_loops::LoopConfig;
 use tsdfuse_odometry::OdometryConfig;
 
 use crate::error::RunError;
@@ -41,6 +42,8 @@ pub struct RunConfig {
     pub mesh: MeshConfig,
     /// Options of the odometry, where it finds the poses.
     pub odometry: OdometryConfig,
+    /// Options of loop closure.
+    pub loops: LoopConfig,
 }
 
 impl RunConfig {

@@ -105,6 +105,8 @@ pub struct Job {
     pub input: Input,
     /// Where the poses come from.
     pub poses: PosesFrom,
+    /// Whether loops stay open: the sensor's way is not corrected where it comes back.
+    pub open_loops: bool,
     /// What is set of the configuration; the rest is the log's or the default.
     pub settings: Settings,
     /// What fuses.

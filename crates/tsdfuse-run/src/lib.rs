@@ -26,6 +26,7 @@ mod event;
 mod gpu;
 mod job;
 mod load;
+mod loops;
 mod machine;
 mod memory;
 mod outputs;
@@ -47,6 +48,7 @@ pub use event::{Event, Observer, Silent, Stop};
 #[cfg(feature = "gpu")]
 pub use gpu::pool;
 pub use job::{Input, Job};
+pub use loops::LoopsReport;
 pub use machine::{Machine, peak_memory_bytes};
 pub use outputs::{Outputs, check as check_outputs, check_file};
 pub use report::Report;
@@ -55,6 +57,7 @@ pub use session::Session;
 pub use settings::Settings;
 pub use setup::{Placing, Setup};
 pub use tracking::{PosesFrom, Track, TrackedScan, refine, track, write_poses};
+pub use tsdfuse_loops::{Closure, LoopConfig};
 pub use tsdfuse_odometry::{ImuReport, OdometryConfig, Quality, common_shift};
 
 /// The examples of the README, compiled.

@@ -17,6 +17,7 @@ use tsdfuse_store::PagedMap;
 
 use crate::config::RunConfig;
 use crate::error::Result;
+use crate::loops::LoopsReport;
 
 /// Everything about one run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -141,6 +142,9 @@ pub struct OdometryReport {
     /// Pieces of the trajectory that have nothing to do with each other: one if the sensor was never lost.
     #[serde(default)]
     pub pieces: usize,
+    /// The loops, if any were looked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub loops: Option<LoopsReport>,
     /// What was found out about the log's IMU, if it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub imu: Option<ImuReport>,
@@ -155,6 +159,7 @@ impl OdometryReport {
             undetermined: 0,
             unmatched: 0,
             pieces: 1,
+            loops: None,
             imu: None,
         };
         for quality in qualities.skip(1) {

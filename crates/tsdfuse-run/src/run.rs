@@ -180,6 +180,7 @@ impl Job {
                 PosesFrom::Any | PosesFrom::Log => Placing::Given,
                 PosesFrom::Refine => Placing::Refine,
             },
+            loops: !self.open_loops,
             selection: self.input.selection.clone(),
             skip_bad: self.input.skip_bad,
             device: self.device.clone(),

@@ -65,6 +65,8 @@ pub struct Session {
     name: String,
     reading: Option<ReadAhead>,
     placer: Placer,
+    /// Whether the poses are known that must be before anything is fused.
+    is_prepared: bool,
     /// Scans that were done before the run was broken off, and are only tracked again: poses follow from all scans before.
     repeated: usize,
     /// Poses of the scans to come, where they are known.
@@ -204,6 +206,8 @@ impl Session {
 
     fn with(log: &Log, setup: Setup, backend: Box<dyn Backend>, checkpoint: Checkpoint) -> Result<Self> {
         let (placer, repeated) = match setup.placing {
+            // Before it begins: see `prepare`.
+            Placing::Track if setup.tracks_first(log) => (Placer::Log, 0),
             Placing::Track => {
                 let RunConfig { odometry, range, .. } = setup.config;
                 let tracking = match &setup.load_map {
@@ -212,7 +216,6 @@ impl Session {
                 };
                 (Placer::Odometry(Box::new(tracking)), checkpoint.done)
             }
-            // Before it begins: see `started`.
             Placing::Refine | Placing::Given => (Placer::Log, 0),
         };
         let mut next = VecDeque::new();
@@ -235,6 +238,7 @@ impl Session {
             },
             log: log.clone(),
             reading: Some(reading),
+            is_prepared: false,
             placer,
             repeated,
             next,
@@ -258,17 +262,6 @@ impl Session {
 
     fn started(mut self, observer: &mut dyn Observer) -> Result<Self> {
         let device = self.backend.device();
-        if self.setup.placing == Placing::Refine {
-            // Scans that are held out are refined, too: whoever looks them up needs their poses as good.
-            let all = Selection {
-                hold_out: None,
-                ..self.setup.selection.clone()
-            };
-            let indices = all.indices(self.log.len().unwrap_or_default());
-            let RunConfig { odometry, range, .. } = &self.setup.config;
-            let refinement = Refinement::of(&self.log, &indices, *odometry, range, &self.stop, observer)?;
-            self.placer = Placer::Refinement(refinement);
-        }
         if let Some(loaded) = &self.loaded {
             observer.on(Event::MapLoaded(loaded));
         }
@@ -279,6 +272,35 @@ impl Session {
         });
         self.begun = Instant::now();
         Ok(self)
+    }
+
+    /// Finds the poses that must be known before anything is fused.
+    fn prepare(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        // Scans that are held out are placed, too: whoever looks them up needs their poses as good.
+        let all = Selection {
+            hold_out: None,
+            ..self.setup.selection.clone()
+        };
+        let scans = self.log.len().unwrap_or_default();
+        let indices = all.indices(scans);
+        let RunConfig {
+            odometry, range, loops, ..
+        } = self.setup.config;
+        let placed = if self.setup.placing == Placing::Refine {
+            let loops = self.setup.loops.then_some(loops);
+            Refinement::of(&self.log, &indices, odometry, loops, &range, &self.stop, observer)?
+        } else if self.setup.tracks_first(&self.log) {
+            observer.on(Event::Working("finding the poses"));
+            Refinement::tracked(&self.log, &indices, odometry, loops, range, &self.stop)?
+        } else {
+            return Ok(());
+        };
+        let mut to_fuse = self.setup.selection.indices(scans);
+        to_fuse.drain(..self.checkpoint.done.min(to_fuse.len()));
+        self.next = to_fuse.into_iter().map(|index| placed.pose(index)).collect();
+        self.placer = Placer::Refinement(placed);
+        self.begun = Instant::now();
+        Ok(())
     }
 
     /// What stops this session between two scans, from any thread.
@@ -298,6 +320,10 @@ impl Session {
     /// [`RunError::BadScan`] for a scan that cannot be used, unless [`Setup::skip_bad`] is set. All else ends the run; a store
     /// then holds what was committed last.
     pub fn step(&mut self, observer: &mut dyn Observer) -> Result<bool> {
+        if !self.is_prepared {
+            self.is_prepared = true;
+            self.prepare(observer)?;
+        }
         let Some(reading) = &mut self.reading else {
             return Ok(false);
         };
@@ -659,7 +685,12 @@ impl Session {
                 imu: tracking.imu(),
                 ..of(tracking.seconds)
             }),
-            Placer::Refinement(refinement) => Some(of(refinement.seconds)),
+            Placer::Refinement(placed) => Some(OdometryReport {
+                pieces: placed.pieces,
+                imu: placed.imu.clone(),
+                loops: placed.loops.clone(),
+                ..of(placed.seconds)
+            }),
         }
     }
 

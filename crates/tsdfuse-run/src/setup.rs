@@ -32,6 +32,9 @@ pub struct Setup {
     pub config: RunConfig,
     /// How scans come by their poses.
     pub placing: Placing,
+    /// Whether loops are closed before anything is fused: where the sensor comes back, poses and map meet. It takes a first pass over the log, so
+    /// streams are fused without it.
+    pub loops: bool,
     /// Which scans are fused.
     pub selection: Selection,
     /// Whether scans that cannot be used are left out; otherwise the first one ends the run.
@@ -59,6 +62,7 @@ impl Default for Setup {
         Self {
             config: RunConfig::default(),
             placing: Placing::Given,
+            loops: true,
             selection: Selection::default(),
             skip_bad: false,
             device: Device::Cpu,
@@ -80,6 +84,11 @@ impl Setup {
             config: RunConfig::for_log(log),
             ..Self::default()
         }
+    }
+
+    /// Whether odometry finds the poses of all scans, and closes their loops, before the first one is fused.
+    pub(crate) fn tracks_first(&self, log: &Log) -> bool {
+        self.loops && self.placing == Placing::Track && self.load_map.is_none() && log.len().is_some()
     }
 
     /// Whether not all of the map is in memory.

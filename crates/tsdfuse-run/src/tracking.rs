@@ -8,14 +8,17 @@ use serde::{Deserialize, Serialize};
 use tsdfuse::mesh;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::{ImuSample, Pose, Scan};
+use tsdfuse_io::g2o;
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::poses::{self, Poses};
 use tsdfuse_io::{Log, ReadScan, Selection};
+use tsdfuse_loops::LoopConfig;
 use tsdfuse_odometry::{ImuReport, OdometryConfig, Quality, Refined, Refiner, Search, Tracker, common_shift};
 
 use crate::error::{BadScan, Result, RunError};
 use crate::event::{Event, Observer, Stop};
 use crate::load::Loading;
+use crate::loops::{Loops, LoopsReport};
 use crate::report::OdometryReport;
 
 /// Where the poses of scans come from.
@@ -153,10 +156,15 @@ impl Tracking {
 /// Rounds of refinement, and how far from their poses surfaces are looked for in each, metres.
 const REFINE_REACH_M: [f64; 6] = [0.5, 0.2, 0.1, 0.1, 0.1, 0.1];
 
-/// Refined poses, by the scans' numbers in the log.
+/// Poses that are known before anything is fused, by the scans' numbers in the log.
 pub(crate) struct Refinement {
     refined: HashMap<usize, Refined>,
     pub(crate) seconds: f64,
+    /// Pieces that have nothing to do with each other.
+    pub(crate) pieces: usize,
+    pub(crate) imu: Option<ImuReport>,
+    pub(crate) loops: Option<LoopsReport>,
+    graph: Option<g2o::Graph>,
 }
 
 impl Refinement {
@@ -168,6 +176,7 @@ impl Refinement {
         log: &Log,
         indices: &[usize],
         config: OdometryConfig,
+        loops: Option<LoopConfig>,
         limits: &RangeLimits,
         stop: &Stop,
         observer: &mut dyn Observer,
@@ -181,6 +190,33 @@ impl Refinement {
         let start = Instant::now();
         observer.on(Event::Working("refining the poses"));
         let mut refined: HashMap<usize, Refined> = HashMap::new();
+        let mut closed = None;
+        if let Some(loops) = loops {
+            let mut loops = Loops::new(loops);
+            for read in log.read_indices(indices.to_vec()) {
+                if stop.is_stopped() {
+                    break;
+                }
+                let Ok(mut scan) = read.scan else { continue };
+                scan.drop_invalid(limits);
+                let Some(pose) = scan.pose else { continue };
+                loops.push(read.index, &scan, &Quality::GIVEN);
+                let given = Refined {
+                    pose,
+                    motion: scan.motion,
+                    quality: Quality::default(),
+                };
+                refined.insert(read.index, given);
+            }
+            let corrections = loops.finish();
+            if corrections.report.closures.is_empty() {
+                refined.clear();
+            }
+            for (index, refined) in &mut refined {
+                *refined = refined.moved(&corrections.of(*index));
+            }
+            closed = Some(corrections);
+        }
         for reach_m in REFINE_REACH_M {
             let mut refiner = Refiner::new(config, reach_m);
             let mut waiting = VecDeque::new();
@@ -218,8 +254,68 @@ impl Refinement {
             .into_iter()
             .map(|(index, refined)| (index, refined.moved(&shift)))
             .collect();
-        let seconds = start.elapsed().as_secs_f64();
-        Ok(Self { refined, seconds })
+        let (loops, graph) = closed.map(|closed| (closed.report, closed.graph)).unzip();
+        Ok(Self {
+            refined,
+            seconds: start.elapsed().as_secs_f64(),
+            pieces: 1,
+            imu: None,
+            loops,
+            graph,
+        })
+    }
+
+    /// Reads the scans of these numbers, finds their poses by odometry, and closes their loops.
+    ///
+    /// # Errors
+    /// As [`Tracking::new`].
+    pub(crate) fn tracked(
+        log: &Log,
+        indices: &[usize],
+        config: OdometryConfig,
+        loops: LoopConfig,
+        limits: RangeLimits,
+        stop: &Stop,
+    ) -> Result<Self> {
+        let start = Instant::now();
+        let mut tracking = Tracking::new(log, config, limits)?;
+        let mut loops = Loops::new(loops);
+        let mut refined = HashMap::new();
+        let mut take = |placed: Vec<(ReadScan, Option<Quality>)>| {
+            for (read, quality) in placed {
+                // A scan that cannot be read is told when it is fused.
+                let Ok(scan) = read.scan else { continue };
+                let quality = quality.unwrap_or_default();
+                loops.push(read.index, &scan, &quality);
+                let Some(pose) = scan.pose else { continue };
+                let motion = scan.motion;
+                refined.insert(read.index, Refined { pose, motion, quality });
+            }
+        };
+        for read in log.read_indices(indices.to_vec()) {
+            if stop.is_stopped() {
+                break;
+            }
+            take(tracking.push(read));
+        }
+        take(tracking.finish());
+        let corrections = loops.finish();
+        for (index, refined) in &mut refined {
+            *refined = refined.moved(&corrections.of(*index));
+        }
+        Ok(Self {
+            refined,
+            seconds: start.elapsed().as_secs_f64(),
+            pieces: tracking.pieces(),
+            imu: tracking.imu(),
+            loops: Some(corrections.report),
+            graph: Some(corrections.graph),
+        })
+    }
+
+    /// The pose of a scan.
+    pub(crate) fn pose(&self, index: usize) -> Option<Pose> {
+        self.refined.get(&index).map(|refined| refined.pose)
     }
 
     /// Places a scan, if it had a pose.
@@ -253,6 +349,10 @@ pub struct Track {
     pub pieces: usize,
     /// What was found out about the log's IMU, if it has one.
     pub imu: Option<ImuReport>,
+    /// The loops, if any were looked for.
+    pub loops: Option<LoopsReport>,
+    /// The pose graph of the local maps, whose nodes have the numbers of scans.
+    pub graph: Option<g2o::Graph>,
 }
 
 impl Track {
@@ -262,6 +362,7 @@ impl Track {
         OdometryReport {
             pieces: self.pieces,
             imu: self.imu.clone(),
+            loops: self.loops.clone(),
             ..OdometryReport::of(seconds, &poses, self.scans.iter().map(|scan| &scan.quality))
         }
     }
@@ -275,11 +376,13 @@ pub fn track(
     log: &Log,
     selection: &Selection,
     config: OdometryConfig,
+    loops: Option<LoopConfig>,
     limits: RangeLimits,
     stop: &Stop,
 ) -> Result<Track> {
     let mut tracking = Tracking::new(log, config, limits)?;
     let mut all = Vec::new();
+    let mut loops = loops.map(Loops::new);
     let mut take = |placed: Vec<(ReadScan, Option<Quality>)>| {
         for (read, quality) in placed {
             let index = read.index;
@@ -290,6 +393,9 @@ pub fn track(
                 })
             })?;
             let (pose, time_ns) = (scan.pose.unwrap_or(Pose::IDENTITY), scan.time_ns);
+            if let Some(loops) = &mut loops {
+                loops.push(index, &scan, &quality.unwrap_or_default());
+            }
             all.push(TrackedScan {
                 index,
                 name: scan.name,
@@ -306,10 +412,19 @@ pub fn track(
         take(tracking.push(read))?;
     }
     take(tracking.finish())?;
+    let closed = loops.map(Loops::finish);
+    if let Some(corrections) = &closed {
+        for scan in &mut all {
+            scan.pose.pose = corrections.of(scan.index) * scan.pose.pose;
+        }
+    }
+    let (loops, graph) = closed.map(|closed| (closed.report, closed.graph)).unzip();
     Ok(Track {
         scans: all,
         pieces: tracking.pieces(),
         imu: tracking.imu(),
+        loops,
+        graph,
     })
 }
 
@@ -321,12 +436,13 @@ pub fn refine(
     log: &Log,
     selection: &Selection,
     config: OdometryConfig,
+    loops: Option<LoopConfig>,
     limits: RangeLimits,
     stop: &Stop,
     observer: &mut dyn Observer,
 ) -> Result<Track> {
     let indices = selection.indices(log.scans().len());
-    let refinement = Refinement::of(log, &indices, config, &limits, stop, observer)?;
+    let refinement = Refinement::of(log, &indices, config, loops, &limits, stop, observer)?;
     let tracked = indices.into_iter().filter_map(|index| {
         let (scan, refined) = (&log.scans()[index], refinement.refined.get(&index)?);
         let (time_ns, pose) = (scan.time_ns, refined.pose);
@@ -341,6 +457,8 @@ pub fn refine(
         scans: tracked.collect(),
         pieces: 1,
         imu: None,
+        loops: refinement.loops,
+        graph: refinement.graph,
     })
 }
 

@@ -1,0 +1,136 @@
+//! Drives that come back: poses are corrected before anything is fused, wherever the map is meanwhile.
+
+#![allow(clippy::unwrap_used)] // test helpers
+
+use std::path::Path;
+
+use tsdfuse::{Pose, VoxelMap};
+use tsdfuse_io::{Log, map_file};
+use tsdfuse_run::{Event, Input, Job, Outputs, PosesFrom, Report, Session, Settings, Setup, Silent, Stop};
+use tsdfuse_sim::{Simulator, SimulatorConfig, path, scene};
+
+/// A car drives up a street, and again; its poses are not known.
+fn write_log(folder: &Path) -> Vec<Pose> {
+    let scene = scene::by_name("street", 3).unwrap();
+    let way: Vec<Pose> = path::by_name("vehicle", &scene, 80).unwrap();
+    let there = way.iter().step_by(2).take(24).copied();
+    // Back along the same way, so that no scan lies far from the one before.
+    let way: Vec<Pose> = there.clone().chain(there.rev().skip(1)).collect();
+    let sensor = tsdfuse::sensor::model("vlp16").unwrap();
+    let config = SimulatorConfig {
+        motion: false,
+        ..SimulatorConfig::default()
+    };
+    let simulator = Simulator::new(scene, sensor, way.clone(), config).unwrap();
+    let mut writer = tsdfuse_io::plain::Writer::create(folder).unwrap();
+    for mut scan in simulator.scans() {
+        scan.pose = None;
+        writer.write_scan(&scan).unwrap();
+    }
+    writer.finish().unwrap();
+    way
+}
+
+fn job(log: &Path, map: &Path) -> Job {
+    let mut settings = Settings::default();
+    for setting in [
+        "method=raycast",
+        "map.voxel_size_m=0.2",
+        "map.truncation_m=0.6",
+        "loops.gap_m=15",
+    ] {
+        settings.set_text(setting).unwrap();
+    }
+    Job {
+        input: Input {
+            path: log.to_owned(),
+            ..Input::default()
+        },
+        poses: PosesFrom::Track,
+        settings,
+        outputs: Outputs {
+            map: Some(map.to_owned()),
+            ..Outputs::default()
+        },
+        ..Job::default()
+    }
+}
+
+fn run(job: &Job) -> (Report, VoxelMap) {
+    let report = job.run(&Stop::default(), &mut Silent).unwrap();
+    (report, map_file::read(job.outputs.map.as_ref().unwrap()).unwrap())
+}
+
+#[test]
+fn a_map_is_that_of_the_final_poses_in_memory_paged_stored_and_resumed() {
+    let dir = tempfile::tempdir().unwrap();
+    let (path, map) = (dir.path().join("drive"), dir.path().join("map.tsdf"));
+    let truth = write_log(&path);
+    let closing = job(&path, &map);
+    let (report, whole) = run(&closing);
+    let odometry = report.odometry.unwrap();
+    let loops = odometry.loops.unwrap();
+    assert!(!loops.closures.is_empty());
+    assert!(
+        loops
+            .closures
+            .iter()
+            .all(|closure| closure.later < truth.len() && !closure.is_doubted)
+    );
+
+    // One fusion of scans that are placed so from the beginning.
+    let log: Log = tsdfuse_io::open(&path).unwrap();
+    let setup = Setup {
+        config: report.config.clone(),
+        ..Setup::for_log(&log)
+    };
+    let (_, poses) = map_file::read_with_poses(&map).unwrap();
+    let mut session = Session::begin(&log, setup, &mut Silent).unwrap();
+    for (index, fused) in poses.iter().enumerate() {
+        let mut scan = log.read(index).unwrap();
+        scan.pose = Some(fused.pose);
+        session.fuse(0, scan, &mut Silent).unwrap();
+    }
+    session.finish(&mut Silent).unwrap();
+    assert_eq!(session.map().unwrap(), &whole);
+
+    // Poses without closures are others.
+    let open = Job {
+        open_loops: true,
+        ..closing.clone()
+    };
+    let (open, map_of_open) = run(&open);
+    assert!(open.odometry.unwrap().loops.is_none());
+    assert!(map_of_open != whole);
+
+    let paged = Job {
+        memory_bytes: Some(1 << 20),
+        ..closing.clone()
+    };
+    assert!(run(&paged).1 == whole);
+
+    let stored = Job {
+        store: Some(dir.path().join("run.store")),
+        commit_every: 5,
+        outputs: Outputs::default(),
+        ..closing.clone()
+    };
+    let stop = Stop::default();
+    let stopper = stop.clone();
+    let report = stored.run(&stop, &mut |event: Event<'_>| {
+        if let Event::ScanFused { index: 30, .. } = event {
+            stopper.stop();
+        }
+    });
+    assert!(report.unwrap().stopped);
+    let (again, resumed) = Job::of_store(stored.store.as_ref().unwrap()).unwrap();
+    let again = Job {
+        outputs: closing.outputs.clone(),
+        ..again
+    };
+    let report = again.resume(resumed, &Stop::default(), &mut Silent).unwrap();
+    assert_eq!(report.totals.scans, truth.len());
+    let (resumed, poses_again) = map_file::read_with_poses(&map).unwrap();
+    assert!(resumed == whole);
+    assert!(poses == poses_again);
+}
