@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result};
 use clap::builder::RangedI64ValueParser;
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec2, DVec3};
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::{MapConfig, Pose};
@@ -212,6 +212,15 @@ pub(crate) fn parse_triple(text: &str) -> Result<DVec3, String> {
     match numbers.as_deref() {
         Some(&[x, y, z]) if DVec3::new(x, y, z).is_finite() => Ok(DVec3::new(x, y, z)),
         _ => Err("three numbers with commas between them are wanted, as in 691000,5335000,520".to_owned()),
+    }
+}
+
+/// Two numbers with a comma between them.
+pub(crate) fn parse_pair(text: &str) -> Result<DVec2, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[x, y]) if DVec2::new(x, y).is_finite() => Ok(DVec2::new(x, y)),
+        _ => Err("two numbers with a comma between them are wanted, as in 12.5,-3".to_owned()),
     }
 }
 

@@ -57,7 +57,8 @@ pub(crate) struct Args {
     /// Number of samples on the mesh [default: the protocol's].
     #[arg(long, value_name = "N")]
     samples: Option<usize>,
-    /// Write the mesh coloured by error (.ply, .glb): dark blue at 0, yellow at --max-error and beyond.
+    /// Write the mesh coloured by error (.ply, .glb): dark blue at 0, yellow at --max-error and beyond. As .html, a page that shows it in
+    /// any browser; the pointer tells the error.
     #[arg(long, value_name = "FILE")]
     colored: Option<PathBuf>,
     /// The error shown in yellow, metres [default: the largest threshold].
@@ -137,7 +138,8 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         .iter()
         .for_each(|warning| say(format_args!("tsdfuse: warning: {warning}")));
     if let Some(Colored { path, max_error_m }) = &colored {
-        tsdfuse_io::mesh::write_colored(path, &mesh, &colored::by_distance(&mesh, &reference, *max_error_m))?;
+        let title = args.mesh.file_name().unwrap_or_default().to_string_lossy();
+        colored::write(path, &title, &mesh, &reference, *max_error_m)?;
     }
     drop(spinner);
     if args.json {
@@ -179,7 +181,7 @@ impl Args {
     /// Where the coloured mesh is to go, and its scale.
     fn colored(&self, protocol: &Protocol) -> Result<Option<Colored<'_>>> {
         let Some(path) = &self.colored else { return Ok(None) };
-        tsdfuse_io::mesh::check_colored(path).map_err(Usage::new)?;
+        colored::check(path).map_err(Usage::new)?;
         let inputs = [Some(&self.mesh), Some(&self.reference), self.observed.as_ref()];
         let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
         check_outputs(&inputs, &[path])?;

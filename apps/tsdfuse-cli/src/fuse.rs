@@ -18,6 +18,7 @@ use crate::terminal::{self, Terminal};
 const EXAMPLES: &str = "\
 Examples:
   tsdfuse fuse pandaset/002 -o street.ply
+  tsdfuse fuse pandaset/002 -o street.html --color
   tsdfuse fuse kitti/sequences/00 -o street.ply --scans 0..80 --voxel-size 0.1 --truncation 0.3
   tsdfuse fuse pandaset/002 -o street.ply --mesh-every 10
   tsdfuse fuse pandaset/002 --save-map street.tsdf --scans 0..40
@@ -30,13 +31,27 @@ Examples:
 Settings: defaults < the log's suggestions < --config < --set < flags. A report records the resolved settings.
 Ctrl-C stops after the current scan and writes the result so far; a second Ctrl-C exits at once.";
 
+/// What a run can be for.
+const RESULTS: &[&str] = if cfg!(feature = "view") {
+    &["output", "save_map", "preview", "store", "view"]
+} else {
+    &["output", "save_map", "preview", "store"]
+};
+
 /// Fuse scans into a map and extract its surface.
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES, group(ArgGroup::new("result").args(["output", "save_map", "preview", "store"]).required(true).multiple(true)))]
+#[command(after_help = EXAMPLES, group(ArgGroup::new("result").args(RESULTS).required(true).multiple(true)))]
 pub(crate) struct Args {
-    /// Write the mesh: .ply, .glb or .obj; NAME/tileset.json for 3D Tiles in a new folder; `-` for PLY on standard output.
+    /// Write the mesh: .ply, .glb or .obj; .html for a page that shows it in any browser; NAME/tileset.json for 3D Tiles in a new folder; `-` for PLY on standard output.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    /// Give the mesh the colours that the log's cameras saw: .ply, .glb or .html.
+    #[arg(long, requires = "output")]
+    color: bool,
+    /// Average how strongly surfaces reflect: as grey in .ply and .glb (unless --color), as numbers in .html, and beside --save-map
+    /// as NAME.intensity.tsdf.
+    #[arg(long)]
+    intensity: bool,
     /// Also write the mesh so far to --output after every N scans, for a viewer that reloads it.
     #[arg(long, value_name = "N", requires = "output", value_parser = clap::value_parser!(u32).range(1..))]
     mesh_every: Option<u32>,
@@ -65,6 +80,11 @@ pub(crate) struct Args {
     /// Write a picture of the whole result (.png).
     #[arg(long, value_name = "FILE")]
     preview: Option<PathBuf>,
+    /// Watch the run in a browser: prints a URL that only this machine can open, unless ADDRESS (--view=0.0.0.0:8642) says
+    /// otherwise. It stays open until Ctrl-C.
+    #[cfg(feature = "view")]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = crate::view::DEFAULT)]
+    view: Option<std::net::SocketAddr>,
     #[arg(long, value_parser = PossibleValuesParser::new(Method::ALL.iter().map(|m| m.name())),
         help = format!("The fusion method [default: {}, or depth for depth cameras]", Method::default().name()))]
     method: Option<String>,
@@ -91,7 +111,17 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     exit::quiet_gpu(&args.device);
     let job = args.job()?;
     args.log.set_threads()?;
-    let report = job.run(&exit::stop_on_interrupt()?, &mut Terminal::default())?;
+    let stop = exit::stop_on_interrupt()?;
+    #[cfg(feature = "view")]
+    if let Some(address) = args.view {
+        let live = crate::view::open(address, &args.log.log)?;
+        let watched = tsdfuse_run::LiveRun::new(live.clone());
+        let report = job.run(&stop, &mut tsdfuse_run::Both(Terminal::default(), watched))?;
+        let outcome = done(&report, args.json)?;
+        crate::view::stay(&live, &stop);
+        return Ok(outcome);
+    }
+    let report = job.run(&stop, &mut Terminal::default())?;
     done(&report, args.json)
 }
 
@@ -128,6 +158,8 @@ impl Args {
             initial_pose: self.initial_pose,
             outputs: Outputs {
                 mesh: self.output.clone(),
+                color: self.color,
+                intensity: self.intensity,
                 mesh_every: self.mesh_every.map(|every| every as usize),
                 map: self.save_map.clone(),
                 poses: self.save_poses.clone(),

@@ -24,6 +24,8 @@ mod resume;
 mod run_job;
 mod simulate;
 mod terminal;
+#[cfg(feature = "view")]
+mod view;
 
 use std::ffi::OsString;
 
@@ -44,6 +46,8 @@ enum Command {
     Mesh(mesh::Args),
     Resume(resume::Args),
     Render(Box<render::Args>),
+    #[cfg(feature = "view")]
+    View(view::Args),
     Simulate(simulate::Args),
     Info(info::Args),
     Convert(convert::Args),
@@ -71,6 +75,8 @@ pub fn run(start: Vec<OsString>, arguments: Vec<OsString>) -> u8 {
         Command::Mesh(args) => mesh::run(args),
         Command::Resume(args) => resume::run(args),
         Command::Render(args) => render::run(args),
+        #[cfg(feature = "view")]
+        Command::View(args) => view::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
         Command::Convert(args) => convert::run(args),

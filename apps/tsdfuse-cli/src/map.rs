@@ -3,6 +3,7 @@
 mod esdf;
 mod export;
 mod free;
+mod plan;
 #[cfg(feature = "zarr")]
 mod zarr;
 
@@ -40,10 +41,13 @@ Examples:
   tsdfuse map export drive.store -o drive.zarr
   tsdfuse map esdf street.tsdf --voxel-size 0.2 --radius 2 -o distances.npz
   tsdfuse map free drive --heights 0.3..1.8 --inflate 1 -o drive.yaml
+  tsdfuse map slice hall.tsdf --height 1.2 -o plan.png
+  tsdfuse map section street.tsdf --from 0,-15 --to 0,15 -o section.png
+  tsdfuse map terrain drive.tsdf -o ground.tif --surface top.tif --cell 0.25 --epsg 32632
 
 `tsdfuse info MAP` describes a map.";
 
-/// Merge, crop, resample, transform, align, repair and export saved maps; what robots ask of them.
+/// Merge, crop, resample, transform, align, repair and export saved maps; what robots ask of them; plans and heights.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
@@ -61,6 +65,9 @@ enum Command {
     Esdf(esdf::Args),
     /// Write what a log's rays tell of space: free, occupied or unknown (.bt for OctoMap, .yaml for nav2, .npz for NumPy).
     Free(free::Args),
+    Slice(plan::Slice),
+    Section(plan::Section),
+    Terrain(plan::Terrain),
 }
 
 /// What makes a map of maps.
@@ -202,6 +209,9 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
         Command::Export(export) => return export.run(),
         Command::Esdf(esdf) => return esdf.run(),
         Command::Free(free) => return free.run(),
+        Command::Slice(args) => return plan::slice(args),
+        Command::Section(args) => return plan::section(args),
+        Command::Terrain(args) => return plan::terrain(args),
     };
     let out = operation.out();
     check_outputs(&operation.inputs(), &[&out.output])?;

@@ -30,10 +30,16 @@ pub(crate) fn read_with_poses(path: &Path) -> Result<(VoxelMap, Vec<FusedPose>)>
 
 /// Reads a saved map, or all of a store.
 pub(crate) fn read_any(path: &Path) -> Result<VoxelMap> {
+    Ok(read_any_with_poses(path)?.0)
+}
+
+/// Reads a saved map, or all of a store, and the poses of its scans.
+pub(crate) fn read_any_with_poses(path: &Path) -> Result<(VoxelMap, Vec<FusedPose>)> {
     if !tsdfuse_store::recognises(path) {
-        return Ok(map_file::read(path)?);
+        return Ok(map_file::read_with_poses(path)?);
     }
     let mut store = open_store(path)?;
+    let poses = store.poses().to_vec();
     let mut whole = VoxelMap::new(*store.config())?;
     store.for_each_region(|map, region| {
         for (index, block) in map.blocks_of(region) {
@@ -41,5 +47,5 @@ pub(crate) fn read_any(path: &Path) -> Result<VoxelMap> {
         }
         anyhow::Ok(())
     })?;
-    Ok(whole)
+    Ok((whole, poses))
 }

@@ -7,7 +7,7 @@ use anyhow::Result;
 use serde::Serialize;
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse_run::report::{MapReport, MeshReport};
-use tsdfuse_run::{Device, check_outputs, surface};
+use tsdfuse_run::{Device, check_outputs, scene, surface};
 
 use crate::exit::{self, Outcome, Usage};
 use crate::maps::open_store;
@@ -18,6 +18,7 @@ const EXAMPLES: &str = "\
 Examples:
   tsdfuse fuse pandaset/002 --save-map street.tsdf
   tsdfuse mesh street.tsdf -o street.glb --min-weight 2
+  tsdfuse mesh street.tsdf -o street.html
   tsdfuse mesh drive.store -o drive/tileset.json";
 
 /// Extract the surface of a saved map or of a store.
@@ -26,7 +27,7 @@ Examples:
 pub(crate) struct Args {
     /// A map saved with `tsdfuse fuse --save-map`, or a store.
     map: PathBuf,
-    /// The mesh to write, .ply, .glb or .obj; a new folder's NAME/tileset.json for 3D Tiles; `-` writes PLY to standard output.
+    /// The mesh to write, .ply, .glb or .obj; .html for a page that shows it in any browser; a new folder's NAME/tileset.json for 3D Tiles; `-` writes PLY to standard output.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Extract no surface from voxels with less weight than this.
@@ -78,15 +79,17 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
 impl Args {
     fn of_map(&self, config: MeshConfig) -> Result<Done> {
         let start = Instant::now();
-        let map = tsdfuse_io::map_file::read(&self.map)?;
+        let (map, poses) = tsdfuse_io::map_file::read_with_poses(&self.map)?;
         let read_seconds = start.elapsed().as_secs_f64();
         let _spinner = progress::working("extracting the surface");
+        let report = MapReport::of(&map);
+        let scene = scene::of_map(&self.map.to_string_lossy(), map.config().voxel_size_m, &report, &poses);
         Ok(Done {
             path: self.map.clone(),
             read_seconds,
-            map: MapReport::of(&map),
+            map: report,
             config,
-            mesh: surface::write_by(|| self.device.mesh(&map, &config), &map, &config, &self.output)?,
+            mesh: surface::write_by(|| self.device.mesh(&map, &config), &map, &config, &self.output, &scene)?,
         })
     }
 
@@ -98,11 +101,14 @@ impl Args {
         surface::check_in_parts(&self.output)?;
         let mut map = open_store(&self.map)?;
         let _spinner = progress::working("extracting the surface");
-        let mesh = surface::write_in_parts(&mut map, &config, &self.output)?;
+        let report = MapReport::of_paged(&map);
+        let title = self.map.to_string_lossy();
+        let scene = scene::of_map(&title, map.config().voxel_size_m, &report, map.poses());
+        let mesh = surface::write_in_parts(&mut map, &config, &self.output, &scene)?;
         Ok(Done {
             path: self.map.clone(),
             read_seconds: 0.0,
-            map: MapReport::of_paged(&map),
+            map: report,
             config,
             mesh,
         })

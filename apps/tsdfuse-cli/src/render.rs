@@ -1,6 +1,7 @@
 //! `tsdfuse render`: a saved map in, pictures of it out.
 
 mod look;
+mod movie;
 mod name;
 mod scan;
 
@@ -10,19 +11,21 @@ use std::time::Instant;
 use anyhow::Result;
 use clap::ArgGroup;
 use clap::builder::PossibleValuesParser;
+use glam::DVec3;
 use serde::Serialize;
 use tsdfuse::SensorModel;
 use tsdfuse::fuse::pictures::Picture;
 use tsdfuse::render::{Camera, ImageKind, RenderConfig};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse_run::report::{MapReport, ViewReport};
-use tsdfuse_run::{Device, check_outputs, view};
+use tsdfuse_run::{Device, RunError, check_outputs, view};
 
 use crate::exit::{self, Outcome, Usage};
 use crate::output::print_json;
 use crate::progress::{self, note, say};
 use crate::terminal;
 use look::{Look, LookArgs};
+use movie::{Movie, is_movie};
 
 const MORE_HELP: &str = "\
 Camera frame: x forward, y left, z up. Positive YAW turns left, PITCH up, ROLL lowers the right side; degrees. A pose file holds \
@@ -37,20 +40,21 @@ Examples:
   tsdfuse render street.tsdf -o view.png
   tsdfuse render street.tsdf -o view.png --from 0,0,2 --to 20,5,1 --image shaded,depth
   tsdfuse render street.tsdf -o turn.png --views 36
+  tsdfuse render street.tsdf -o flight.mp4 --along-path
   tsdfuse render street.tsdf -o scan.png --pose 0,0,1.8 --sensor pandar64
   tsdfuse render pandaset/002 -o scan.png --scan 5 --image normals,surfels,filled";
 
 /// Render pictures of a saved map.
 #[derive(Debug, clap::Args)]
 #[command(after_help = MORE_HELP, group(ArgGroup::new("place").args(["pose", "poses", "from"])),
-    group(ArgGroup::new("look").args(["overview", "views", "pose", "poses", "from"])))]
+    group(ArgGroup::new("look").args(["overview", "views", "along_path", "pose", "poses", "from"])))]
 pub(crate) struct Args {
     /// A map saved with `tsdfuse fuse --save-map`, or a store; with --scan a log.
     map: PathBuf,
     /// Draw what methods make of scan N of a log instead: its normals, surfels or cylindrical images.
     #[arg(long, value_name = "N", conflicts_with_all = ["look", "sensor", "size", "fov", "optical", "json"])]
     scan: Option<usize>,
-    /// The picture to write, .png.
+    /// The picture to write, .png; several views also as a movie, .mp4, where ffmpeg is installed.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -102,7 +106,11 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     };
     exit::quiet_gpu(&args.device);
     config.validate().map_err(Usage::new)?;
-    tsdfuse_io::png::check(&args.output).map_err(Usage::new)?;
+    if is_movie(&args.output) {
+        args.check_movie()?;
+    } else {
+        tsdfuse_io::png::check(&args.output).map_err(Usage::new)?;
+    }
     let kinds = args.kinds()?;
     let pinhole = args.look.camera()?;
     let sensor = args.sensor.as_deref().and_then(tsdfuse::sensor::model);
@@ -112,17 +120,28 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     check_outputs(&inputs, &[&args.output])?;
 
     let start = Instant::now();
-    let map = crate::maps::read_any(&args.map)?;
+    let (map, fused) = crate::maps::read_any_with_poses(&args.map)?;
+    let driven: Vec<DVec3> = fused.iter().map(|fused| fused.pose.translation).collect();
     let read_seconds = start.elapsed().as_secs_f64();
     let spinner = progress::working("rendering");
     let preparing = Instant::now();
     let renderer = view::renderer(&map, &config)?;
     let mut look = args.device.look(&renderer, &config)?;
     let prepare_seconds = preparing.elapsed().as_secs_f64();
-    let poses = place.poses(&renderer, &pinhole);
+    let poses = place.poses(&renderer, &pinhole, &driven);
+    if poses.is_empty() {
+        return Err(RunError::Nothing(format!("{}: tells no path of a sensor that moved", args.map.display())).into());
+    }
     let camera = sensor.clone().map_or(Camera::Pinhole(pinhole), Camera::Lidar);
     let mut views = Vec::with_capacity(poses.len());
+    let mut movie = is_movie(&args.output)
+        .then(|| Movie::begin(&args.output, &pinhole))
+        .transpose()?;
     for (number, pose) in poses.iter().enumerate() {
+        if let Some(movie) = &mut movie {
+            views.push(movie.add(&mut look, &camera, *pose)?);
+            continue;
+        }
         let files: Vec<_> = kinds
             .iter()
             .map(|&kind| {
@@ -132,6 +151,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
             .collect();
         views.push(view::write(&mut look, &camera, *pose, &files)?);
     }
+    movie.map(Movie::finish).transpose()?;
     drop(spinner);
     let done = Done {
         path: args.map.clone(),
@@ -151,6 +171,18 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
 }
 
 impl Args {
+    fn check_movie(&self) -> Result<(), Usage> {
+        if !self.look.along_path && self.look.views.is_none() && self.look.poses.is_none() {
+            return Err(Usage::new(
+                "a movie needs several views: --along-path, --views or --poses",
+            ));
+        }
+        if self.sensor.is_some() || self.image.iter().any(|name| name != ImageKind::Shaded.name()) {
+            return Err(Usage::new("a movie shows the shaded surface through a pinhole camera"));
+        }
+        Ok(())
+    }
+
     /// The pictures of a map to make of each view; none twice.
     fn kinds(&self) -> Result<Vec<ImageKind>, Usage> {
         let asked = |kind: &ImageKind| match self.image.is_empty() {
@@ -215,7 +247,7 @@ impl Done {
             sum(|view| view.write_seconds),
         ));
         match (first.files.first(), last.files.last()) {
-            (Some(from), Some(to)) if self.views.len() > 1 => {
+            (Some(from), Some(to)) if from != to => {
                 say(format_args!("  wrote    {} to {}", from.display(), to.display()));
             }
             _ => terminal::pictures(first),

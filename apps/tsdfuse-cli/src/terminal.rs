@@ -4,7 +4,7 @@ use indicatif::{BinaryBytes, HumanCount, ProgressBar};
 use tsdfuse::glam::DVec3;
 use tsdfuse_run::LoopsReport;
 use tsdfuse_run::report::{
-    FinishReport, MapReport, MeshReport, OdometryReport, Report, SavedMap, TilesReport, Totals, ViewReport,
+    ColorReport, FinishReport, MapReport, MeshReport, OdometryReport, Report, SavedMap, TilesReport, Totals, ViewReport,
 };
 use tsdfuse_run::{Event, Observer};
 
@@ -237,6 +237,13 @@ pub(crate) fn mesh(report: &MeshReport) {
     let count = |n: usize| HumanCount(n as u64);
     let (vertices, triangles) = (count(report.vertices), count(report.triangles));
     say(format_args!("  mesh     {triangles} triangles, {vertices} vertices"));
+    if let Some(ColorReport { images, vertices }) = report.color {
+        let percent = 100.0 * vertices as f64 / report.vertices.max(1) as f64;
+        say(format_args!(
+            "  colours  of {} images, for {percent:.0}% of the vertices",
+            count(images)
+        ));
+    }
     if let Some(TilesReport { tiles, levels, bytes }) = report.tiles {
         let (tiles, bytes) = (count(tiles), BinaryBytes(bytes));
         say(format_args!("  tiles    {tiles} in {levels} levels, {bytes}"));

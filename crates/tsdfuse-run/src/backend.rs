@@ -7,6 +7,7 @@ use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
 use tsdfuse::{Integration, Integrator, Pose, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::FusedPose;
+use tsdfuse_view::Scene;
 
 use crate::config::RunConfig;
 use crate::error::{Result, RunError};
@@ -94,8 +95,8 @@ pub(crate) trait Backend: Send {
     /// The whole surface, once all scans are in the map.
     fn mesh(&mut self, config: &MeshConfig) -> Result<Mesh>;
 
-    /// Extracts the surface, which must not be empty, and writes it.
-    fn write_surface(&mut self, config: &MeshConfig, path: &Path) -> Result<MeshReport>;
+    /// Extracts the surface, which must not be empty, and writes it; `scene` is what a page shows beside it.
+    fn write_surface(&mut self, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport>;
 
     /// Writes the map and the poses of its scans.
     fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap>;

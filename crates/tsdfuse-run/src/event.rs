@@ -11,7 +11,7 @@ use tsdfuse::mesh::Changes;
 use crate::report::{LoadedMap, ScanReport, SkippedScan};
 
 /// Something that happened during a run.
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub enum Event<'a> {
     /// The run begins, or goes on after `done` scans that a store holds already.
@@ -22,6 +22,8 @@ pub enum Event<'a> {
         done: usize,
         /// The GPU that fuses, if one does.
         device: Option<&'a str>,
+        /// Edge of the map's voxels, metres.
+        voxel_size_m: f64,
     },
     /// A saved map was loaded and is now continued.
     MapLoaded(&'a LoadedMap),
@@ -48,7 +50,7 @@ pub enum Event<'a> {
         /// Its name and the reason.
         skipped: &'a SkippedScan,
     },
-    /// Pieces of the surface changed ([`crate::Setup::follow_every`]).
+    /// Pieces of the surface changed ([`crate::Setup::follow_every`], [`Observer::surface_share`]).
     SurfaceChanged(&'a Changes),
     /// The mesh so far was written.
     MeshWritten(&'a Path),
@@ -83,6 +85,28 @@ pub enum Event<'a> {
 pub trait Observer {
     /// Called on the thread that runs, between steps of the work.
     fn on(&mut self, event: Event<'_>);
+
+    /// Whether it wants to be told what changed of the surface, without asking for it after a certain number of scans: it is then
+    /// told as often as that takes, with all it does meanwhile, no more than this share of the time. 0: not now, but maybe later.
+    fn surface_share(&self) -> Option<f64> {
+        None
+    }
+}
+
+/// Two who watch the same run.
+#[derive(Debug)]
+pub struct Both<A, B>(pub A, pub B);
+
+impl<A: Observer, B: Observer> Observer for Both<A, B> {
+    fn on(&mut self, event: Event<'_>) {
+        self.0.on(event);
+        self.1.on(event);
+    }
+
+    fn surface_share(&self) -> Option<f64> {
+        let shares = [self.0.surface_share(), self.1.surface_share()];
+        shares.into_iter().flatten().reduce(f64::max)
+    }
 }
 
 impl<F: FnMut(Event<'_>)> Observer for F {

@@ -9,6 +9,7 @@ use tsdfuse::render::RenderConfig;
 use tsdfuse::{Scan, SensorModel, VoxelMap};
 use tsdfuse_gpu::{DeviceMap, Fused, Fuser, Gpu, GpuError, Mesher, PoolConfig, Renderer};
 use tsdfuse_io::map_file::{self, FusedPose};
+use tsdfuse_view::Scene;
 
 use crate::backend::{Backend, Failed, Settled, follow};
 use crate::config::RunConfig;
@@ -148,12 +149,12 @@ impl Backend for OnGpu {
         Ok(mesher.extract(map, config)?)
     }
 
-    fn write_surface(&mut self, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
+    fn write_surface(&mut self, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport> {
         if surface::is_tileset(path) {
-            return surface::write(&self.fuser.map().download()?, config, path);
+            return surface::write(&self.fuser.map().download()?, config, path, scene);
         }
         let blocks = self.fuser.map().block_count()? as usize;
-        surface::write_mesh(|| self.mesh(config), blocks, config, path)
+        surface::write_mesh(|| self.mesh(config), blocks, config, path, scene)
     }
 
     fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap> {

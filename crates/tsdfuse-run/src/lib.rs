@@ -24,15 +24,20 @@ mod error;
 mod event;
 #[cfg_attr(not(feature = "gpu"), path = "no_gpu.rs")]
 mod gpu;
+pub mod intensity;
 mod job;
+#[cfg(feature = "live")]
+mod live;
 mod load;
 mod loops;
 mod machine;
 mod memory;
 mod outputs;
 mod paged;
+pub mod paint;
 pub mod report;
 mod run;
+pub mod scene;
 mod session;
 mod settings;
 mod setup;
@@ -44,10 +49,12 @@ pub use checkpoint::Checkpoint;
 pub use config::RunConfig;
 pub use device::Device;
 pub use error::{BadScan, Result, RunError};
-pub use event::{Event, Observer, Silent, Stop};
+pub use event::{Both, Event, Observer, Silent, Stop};
 #[cfg(feature = "gpu")]
 pub use gpu::pool;
 pub use job::{Input, Job};
+#[cfg(feature = "live")]
+pub use live::LiveRun;
 pub use loops::LoopsReport;
 pub use machine::{Machine, peak_memory_bytes};
 pub use outputs::{Outputs, check as check_outputs, check_file};

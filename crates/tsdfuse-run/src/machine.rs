@@ -35,8 +35,18 @@ impl Machine {
 
 /// The most memory this process has held so far, where the system tells (Linux).
 pub fn peak_memory_bytes() -> Option<u64> {
+    own_status("VmHWM:")
+}
+
+/// The memory this process holds now, where the system tells (Linux).
+#[cfg(feature = "live")]
+pub(crate) fn memory_bytes() -> Option<u64> {
+    own_status("VmRSS:")
+}
+
+fn own_status(name: &str) -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let line = status.lines().find_map(|line| line.strip_prefix(name))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kib * 1024)
 }

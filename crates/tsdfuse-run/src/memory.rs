@@ -7,6 +7,7 @@ use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, extract_with};
 use tsdfuse::{Scan, VoxelMap};
 use tsdfuse_io::map_file::{self, FusedPose};
+use tsdfuse_view::Scene;
 
 use crate::backend::{Backend, Failed, Integrators, Settled, follow};
 use crate::error::{Result, RunError};
@@ -63,8 +64,8 @@ impl Backend for InMemory {
         Ok(extract_with(&self.map, config)?)
     }
 
-    fn write_surface(&mut self, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
-        surface::write(&self.map, config, path)
+    fn write_surface(&mut self, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport> {
+        surface::write(&self.map, config, path, scene)
     }
 
     fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap> {

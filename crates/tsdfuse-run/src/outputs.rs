@@ -12,10 +12,14 @@ use crate::surface;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Outputs {
-    /// The surface: `.ply`, `.glb`, `.obj`, `NAME/tileset.json`, or `-` for standard output.
+    /// The surface: `.ply`, `.glb`, `.obj`, `.html`, `NAME/tileset.json`, or `-` for standard output.
     pub mesh: Option<PathBuf>,
     /// Scans after which the mesh so far is written, again and again.
     pub mesh_every: Option<usize>,
+    /// Whether the mesh gets the colours that the log's cameras saw.
+    pub color: bool,
+    /// Whether intensities are averaged: the mesh and the map get them.
+    pub intensity: bool,
     /// The map.
     pub map: Option<PathBuf>,
     /// The poses of the scans: TUM, or KITTI where scans have no times.
@@ -56,6 +60,16 @@ impl Outputs {
                 ));
             }
             surface::check(mesh)?;
+            if self.color || self.intensity {
+                surface::check_painted(mesh)?;
+            }
+        } else if self.color {
+            return Err(RunError::config("--color needs a mesh: --output"));
+        }
+        if (self.color || self.intensity) && self.mesh_every.is_some() {
+            return Err(RunError::config(
+                "--mesh-every with --color or --intensity: meshes on the way have neither",
+            ));
         }
         if let Some(preview) = &self.preview {
             tsdfuse_io::png::check(preview).map_err(RunError::config)?;
@@ -70,6 +84,9 @@ impl Outputs {
     /// [`RunError::Config`] says what.
     pub fn check_in_parts(&self) -> Result<()> {
         let wrong = |reason: String| RunError::config(format_args!("--memory and --store: {reason}"));
+        if self.color {
+            return Err(wrong("--color needs the whole map in memory".to_owned()));
+        }
         if self.preview.is_some() {
             return Err(wrong("--preview needs the whole map in memory".to_owned()));
         }

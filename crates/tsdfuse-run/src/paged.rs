@@ -10,6 +10,7 @@ use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
 use tsdfuse::{Pose, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::{FusedPose, Reader};
 use tsdfuse_store::{PagedError, PagedMap, StoreError};
+use tsdfuse_view::Scene;
 
 use crate::backend::{Backend, Failed, Integrators, Settled};
 use crate::checkpoint::Checkpoint;
@@ -146,8 +147,8 @@ impl Backend for Paged {
         ))
     }
 
-    fn write_surface(&mut self, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
-        surface::write_in_parts(&mut self.map, config, path)
+    fn write_surface(&mut self, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport> {
+        surface::write_in_parts(&mut self.map, config, path, scene)
     }
 
     fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap> {

@@ -350,6 +350,18 @@ pub struct MeshReport {
     pub write_seconds: f64,
     /// What it was written as, if not as one file.
     pub tiles: Option<TilesReport>,
+    /// Where its colours come from, if it has some.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub color: Option<ColorReport>,
+}
+
+/// The colours of a surface.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct ColorReport {
+    /// Images that were projected onto it.
+    pub images: usize,
+    /// Vertices that some image sees.
+    pub vertices: usize,
 }
 
 /// A surface as 3D Tiles.

@@ -95,7 +95,7 @@ impl Job {
         let saved_map = saved_map.transpose()?;
         let mesh = self.outputs.mesh.as_deref().map(|path| {
             observer.on(Event::Working("extracting the surface"));
-            session.write_surface(path)
+            session.write_painted(path, self.outputs.color, observer)
         });
         let mesh = mesh.transpose()?;
         let preview = self.outputs.preview.as_deref().map(|path| {
@@ -193,6 +193,7 @@ impl Job {
             temporary: self.outputs.first().map_or(defaults.temporary, Path::to_owned),
             load_map: self.load_map.clone(),
             initial_pose: self.initial_pose,
+            intensity: self.outputs.intensity,
             follow_every: None,
         })
     }

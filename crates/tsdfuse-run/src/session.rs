@@ -10,6 +10,7 @@ use tsdfuse::{Pose, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::{Log, ReadAhead, ReadScan, Selection};
 use tsdfuse_store::PagedMap;
+use tsdfuse_view::Scene;
 
 use crate::backend::{Backend, Failed, Integrators, Settled};
 use crate::checkpoint::Checkpoint;
@@ -18,15 +19,19 @@ use crate::device::Device;
 use crate::error::{BadScan, Result, RunError};
 use crate::event::{Event, Observer, Stop};
 use crate::gpu;
+use crate::intensity::Intensity;
 use crate::job::Job;
 use crate::load::Loading;
 use crate::memory::InMemory;
 use crate::paged::Paged;
+use crate::paint;
 use crate::report::{
     FinishReport, LoadedMap, MapReport, MeshReport, OdometryReport, PagingReport, SavedMap, ScanReport, SkippedScan,
     Sums, Totals, ViewReport,
 };
+use crate::scene;
 use crate::setup::{Placing, Setup};
+use crate::surface::{self, Painting};
 use crate::tracking::{self, Refinement, Tracking};
 use crate::view;
 use tsdfuse_odometry::Quality;
@@ -71,6 +76,8 @@ pub struct Session {
     repeated: usize,
     /// Poses of the scans to come, where they are known.
     next: VecDeque<Option<Pose>>,
+    /// Intensities beside the map, if they are wanted.
+    intensity: Option<Intensity>,
     backend: Box<dyn Backend>,
     /// Scans that were given to the backend but are not settled.
     under_way: VecDeque<UnderWay>,
@@ -85,6 +92,10 @@ pub struct Session {
     changes: Changes,
     /// Blocks that were updated since changes were told.
     unfollowed: Vec<BlockIndex>,
+    /// Beyond this length, blocks that are in it several times are removed.
+    most_unfollowed: usize,
+    /// Seconds that telling changes took.
+    following_secs: f64,
     full: Option<String>,
     stopped: bool,
     finish: FinishReport,
@@ -242,6 +253,7 @@ impl Session {
             placer,
             repeated,
             next,
+            intensity: None,
             backend,
             under_way: VecDeque::new(),
             poses: Vec::new(),
@@ -251,6 +263,8 @@ impl Session {
             loaded: None,
             changes: Changes::default(),
             unfollowed: Vec::new(),
+            most_unfollowed: 1 << 16,
+            following_secs: 0.0,
             full: None,
             stopped: false,
             finish: FinishReport::default(),
@@ -262,6 +276,12 @@ impl Session {
 
     fn started(mut self, observer: &mut dyn Observer) -> Result<Self> {
         let device = self.backend.device();
+        if self.setup.intensity {
+            self.intensity = Some(match &self.setup.load_map {
+                Some(map) => Intensity::read(&Intensity::path_beside(map))?,
+                None => Intensity::beside(&self.setup.config.map)?,
+            });
+        }
         if let Some(loaded) = &self.loaded {
             observer.on(Event::MapLoaded(loaded));
         }
@@ -269,6 +289,7 @@ impl Session {
             scans: self.checkpoint.asked,
             done: self.checkpoint.done,
             device: device.as_deref(),
+            voxel_size_m: self.setup.config.map.voxel_size_m,
         });
         self.begun = Instant::now();
         Ok(self)
@@ -407,7 +428,7 @@ impl Session {
         };
         self.unfollowed.extend(updated);
         self.seconds = self.begun.elapsed().as_secs_f64();
-        if self.setup.follow_every.is_some() {
+        if self.setup.follow_every.is_some() || observer.surface_share().is_some() {
             self.tell_changes(observer)?;
         }
         observer.on(Event::Done { stopped: self.stopped });
@@ -478,6 +499,9 @@ impl Session {
             Failed::Scan(reason) => bad(&scan.name, format!("{}: {reason}", self.name)).into(),
             Failed::Run(error) => error,
         })?;
+        if let (Some(layer), Some(map)) = (&mut self.intensity, self.backend.map()) {
+            layer.add(map, &scan)?;
+        }
         let took = start.elapsed().as_secs_f64();
         let sums = Sums {
             read: read.read_secs,
@@ -539,12 +563,28 @@ impl Session {
             self.checkpoint.fused += 1;
             self.checkpoint.sums += &report.sums;
             self.scans.push(report);
-            if let Some(every) = self.setup.follow_every {
-                self.unfollowed.extend(done.updated_blocks);
-                if self.scans.len().is_multiple_of(every.max(1)) {
-                    self.tell_changes(observer)?;
-                }
-            }
+            self.follow(done.updated_blocks, observer)?;
+        }
+        Ok(())
+    }
+
+    /// Tells what changed of the surface, if somebody wants to know it now.
+    fn follow(&mut self, updated: Vec<BlockIndex>, observer: &mut dyn Observer) -> Result<()> {
+        let is_due = match (self.setup.follow_every, observer.surface_share()) {
+            (Some(every), _) => self.scans.len().is_multiple_of(every.max(1)),
+            // What was evicted meanwhile could not be meshed any more.
+            (None, Some(_)) if self.setup.is_paged() => true,
+            (None, Some(share)) => self.following_secs < share * self.begun.elapsed().as_secs_f64(),
+            (None, None) => return Ok(()),
+        };
+        self.unfollowed.extend(updated);
+        if is_due {
+            return self.tell_changes(observer);
+        }
+        if self.unfollowed.len() > self.most_unfollowed {
+            self.unfollowed.sort_unstable();
+            self.unfollowed.dedup();
+            self.most_unfollowed = (2 * self.unfollowed.len()).max(1 << 16);
         }
         Ok(())
     }
@@ -597,9 +637,11 @@ impl Session {
     }
 
     fn tell_changes(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        let start = Instant::now();
         let updated = std::mem::take(&mut self.unfollowed);
         self.backend.follow(&updated, &mut self.changes)?;
         observer.on(Event::SurfaceChanged(&self.changes));
+        self.following_secs += start.elapsed().as_secs_f64();
         Ok(())
     }
 
@@ -738,13 +780,54 @@ impl Session {
         self.backend.mesh(&self.setup.config.mesh)
     }
 
-    /// Extracts the surface of the scans so far, which must not be empty, and writes it as `.ply`, `.glb`, `.obj` or
+    /// Extracts the surface of the scans so far, which must not be empty, and writes it as `.ply`, `.glb`, `.obj`, `.html` or
     /// `NAME/tileset.json`.
     ///
     /// # Errors
     /// [`RunError::Nothing`] if there is none; if the file cannot be written.
     pub fn write_surface(&mut self, path: &Path) -> Result<MeshReport> {
-        self.backend.write_surface(&self.setup.config.mesh, path)
+        let scene = self.scene();
+        self.backend.write_surface(&self.setup.config.mesh, path, &scene)
+    }
+
+    /// As [`Self::write_surface`], with the intensities of returns, if they were averaged ([`Setup::intensity`]), and the colours that
+    /// the log's cameras saw, if they are wanted; then as `.ply`, `.glb` or `.html`.
+    ///
+    /// # Errors
+    /// As [`Self::write_surface`]; [`RunError::Config`] if colours are wanted and the log has no images with known poses, or the map is
+    /// not all in memory.
+    pub fn write_painted(&mut self, path: &Path, color: bool, observer: &mut dyn Observer) -> Result<MeshReport> {
+        if !color && self.intensity.is_none() {
+            return self.write_surface(path);
+        }
+        let start = Instant::now();
+        let config = self.setup.config.mesh;
+        let mesh = self.backend.mesh(&config)?;
+        let mut painting = Painting {
+            colors: None,
+            intensities: self.intensity.as_ref().map(|layer| layer.of_vertices(&mesh)),
+        };
+        let log = &self.log;
+        if color {
+            self.backend.viewer(config.min_weight, &mut |see| {
+                painting.colors = Some(paint::paint(&mesh, see.renderer, log, observer)?);
+                Ok(())
+            })?;
+        }
+        let seconds = start.elapsed().as_secs_f64();
+        let report = surface::write_painted(&mesh, &painting, path, &self.scene())?;
+        Ok(MeshReport { seconds, ..report })
+    }
+
+    /// What a page shows beside the surface.
+    fn scene(&self) -> Scene {
+        scene::of_run(
+            &self.name,
+            &self.setup.config,
+            &self.totals(),
+            &self.map_report(),
+            &self.poses,
+        )
     }
 
     /// Writes the poses of the scans so far: as TUM where all have times, else as KITTI.
@@ -755,11 +838,14 @@ impl Session {
         tracking::write_poses(path, &self.poses)
     }
 
-    /// Saves the map of the scans so far, with their poses.
+    /// Saves the map of the scans so far, with their poses, and intensities as a layer of their own ([`Intensity::path_beside`]).
     ///
     /// # Errors
     /// If the file cannot be written.
     pub fn save_map(&mut self, path: &Path) -> Result<SavedMap> {
+        if let Some(layer) = &self.intensity {
+            layer.save(&Intensity::path_beside(path))?;
+        }
         self.backend.save(path, &self.poses)
     }
 
@@ -769,8 +855,9 @@ impl Session {
     /// [`RunError::Nothing`] for a map without surface; if the file cannot be written.
     pub fn write_preview(&mut self, path: &Path) -> Result<ViewReport> {
         let mut report = None;
+        let driven: Vec<_> = self.poses.iter().map(|fused| fused.pose.translation).collect();
         let mut look = |see: view::See<'_>| {
-            report = Some(view::preview(see, path)?);
+            report = Some(view::preview(see, &driven, path)?);
             Ok(())
         };
         self.backend.viewer(self.setup.config.mesh.min_weight, &mut look)?;

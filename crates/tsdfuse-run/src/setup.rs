@@ -53,6 +53,8 @@ pub struct Setup {
     pub load_map: Option<PathBuf>,
     /// About where in the saved map the first scan was taken, `world_from_sensor`; `None`: near the poses of the map's scans.
     pub initial_pose: Option<Pose>,
+    /// Whether intensities of returns are averaged in a layer beside the map.
+    pub intensity: bool,
     /// Scans from one [`Event::SurfaceChanged`](crate::Event::SurfaceChanged) to the next; `None`: nobody wants to know.
     pub follow_every: Option<usize>,
 }
@@ -72,6 +74,7 @@ impl Default for Setup {
             temporary: std::env::temp_dir(),
             load_map: None,
             initial_pose: None,
+            intensity: false,
             follow_every: None,
         }
     }
@@ -106,6 +109,11 @@ impl Setup {
         if self.initial_pose.is_some() && (self.load_map.is_none() || self.placing != Placing::Track) {
             return Err(RunError::config(
                 "--initial-pose is where a sensor without poses is in a saved map: it needs --load-map, and a log without poses or --poses track",
+            ));
+        }
+        if self.intensity && (self.is_paged() || self.device != Device::Cpu) {
+            return Err(RunError::config(
+                "--intensity needs the whole map in memory, fused by the CPU: leave out --memory, --store and --device",
             ));
         }
         if self.is_paged() {

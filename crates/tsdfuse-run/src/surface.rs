@@ -8,16 +8,19 @@ use tsdfuse::glam::{DVec3, Vec3};
 use tsdfuse::mesh::{Mesh, MeshConfig, MeshSink, Surface, extract_with};
 use tsdfuse_io::ply;
 use tsdfuse_store::PagedMap;
+use tsdfuse_view::{Paint, Scene, page};
 
 use crate::error::{Result, RunError};
-use crate::report::{MeshReport, SavedMap};
+use crate::intensity;
+use crate::paint::Painted;
+use crate::report::{ColorReport, MeshReport, SavedMap};
 
 /// Whether a surface is to be written as 3D Tiles: `NAME/tileset.json`.
 pub fn is_tileset(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"))
 }
 
-/// Whether a surface can be written to such a file: `.ply`, `.glb`, `.obj`, `NAME/tileset.json`, or `-` for standard output.
+/// Whether a surface can be written to such a file: `.ply`, `.glb`, `.obj`, `.html`, `NAME/tileset.json`, or `-` for standard output.
 ///
 /// # Errors
 /// [`RunError::Config`] names what is possible.
@@ -25,10 +28,22 @@ pub fn check(path: &Path) -> Result<()> {
     if is_tileset(path) {
         return tiles::check(path);
     }
-    if path.as_os_str() == "-" {
+    if path.as_os_str() == "-" || page::is_page(path) {
         return Ok(());
     }
-    tsdfuse_io::mesh::check(path).map_err(RunError::config)
+    tsdfuse_io::mesh::check(path)
+        .map_err(|error| RunError::config(format_args!("{error}, as .html, or as NAME/tileset.json")))
+}
+
+/// Whether [`write_painted`] can write to such a file.
+///
+/// # Errors
+/// [`RunError::Config`] names what is possible.
+pub fn check_painted(path: &Path) -> Result<()> {
+    if page::is_page(path) {
+        return Ok(());
+    }
+    tsdfuse_io::mesh::check_colored(path).map_err(|error| RunError::config(format_args!("{error} or as .html")))
 }
 
 /// Whether [`write_in_parts`] can write to such a file.
@@ -37,20 +52,20 @@ pub fn check(path: &Path) -> Result<()> {
 /// [`RunError::Config`] names what is possible.
 pub fn check_in_parts(path: &Path) -> Result<()> {
     let is_ply = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"));
-    if is_ply || is_tileset(path) {
+    if is_ply || is_tileset(path) || page::is_page(path) {
         return check(path);
     }
     Err(RunError::config(
-        "a mesh that comes in parts is written as a .ply file or as NAME/tileset.json",
+        "a mesh that comes in parts is written as a .ply file, a .html file or as NAME/tileset.json",
     ))
 }
 
-/// Extracts the surface of a map, which must not be empty, and writes it.
+/// Extracts the surface of a map, which must not be empty, and writes it; `scene` is what a page shows beside it.
 ///
 /// # Errors
 /// [`RunError::Nothing`] for a map without surface; if the file cannot be written.
-pub fn write(map: &VoxelMap, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
-    write_by(|| Ok(extract_with(map, config)?), map, config, path)
+pub fn write(map: &VoxelMap, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport> {
+    write_by(|| Ok(extract_with(map, config)?), map, config, path, scene)
 }
 
 /// As [`write()`], where something else extracts the mesh of the map.
@@ -62,11 +77,12 @@ pub fn write_by(
     map: &VoxelMap,
     config: &MeshConfig,
     path: &Path,
+    scene: &Scene,
 ) -> Result<MeshReport> {
     if is_tileset(path) {
         return tiles::write(path, &mut Surface::new(map, config));
     }
-    write_mesh(extract, map.block_count(), config, path)
+    write_mesh(extract, map.block_count(), config, path, scene)
 }
 
 /// Writes one mesh file, of a map of so many blocks.
@@ -75,6 +91,7 @@ pub(crate) fn write_mesh(
     blocks: usize,
     config: &MeshConfig,
     path: &Path,
+    scene: &Scene,
 ) -> Result<MeshReport> {
     let start = Instant::now();
     let mesh = extract()?;
@@ -85,25 +102,92 @@ pub(crate) fn write_mesh(
         )));
     }
     let seconds = start.elapsed().as_secs_f64();
-    tsdfuse_io::mesh::write(path, &mesh)?;
+    if page::is_page(path) {
+        page::write(path, scene, &tsdfuse_view::Surface::of(&mesh))?;
+    } else {
+        tsdfuse_io::mesh::write(path, &mesh)?;
+    }
     Ok(MeshReport {
         path: path.to_owned(),
         vertices: mesh.vertices.len(),
         triangles: mesh.triangles.len(),
         seconds,
         write_seconds: start.elapsed().as_secs_f64() - seconds,
-        tiles: None,
+        ..MeshReport::default()
+    })
+}
+
+/// What is known of the vertices of a mesh.
+#[derive(Clone, Debug, Default)]
+pub struct Painting {
+    /// Their colours.
+    pub colors: Option<Painted>,
+    /// Their intensities.
+    pub intensities: Option<Vec<f32>>,
+}
+
+/// Writes a mesh that was extracted from a map, with what is known of its vertices, as `.ply`, `.glb` or `.html`. Formats that have
+/// only colours show intensities as greys, where there are no colours.
+///
+/// # Errors
+/// [`RunError::Nothing`] for a mesh without triangles; if the file cannot be written.
+pub fn write_painted(mesh: &Mesh, painting: &Painting, path: &Path, scene: &Scene) -> Result<MeshReport> {
+    if mesh.triangles.is_empty() {
+        return Err(RunError::Nothing("the map has no surface".to_owned()));
+    }
+    let start = Instant::now();
+    let colors = painting.colors.as_ref().map(|painted| painted.colors.as_slice());
+    if page::is_page(path) {
+        let channel = |values: &'_ Vec<f32>| intensity::channel(values);
+        let channels: Vec<_> = painting
+            .intensities
+            .iter()
+            .map(|values| (channel(values), values.as_slice()))
+            .collect();
+        let paint = Paint {
+            colors: colors.unwrap_or_default(),
+            channels: &channels,
+        };
+        page::write(path, scene, &tsdfuse_view::Surface { mesh, paint })?;
+    } else {
+        let greys = || painting.intensities.as_deref().map(intensity::greys);
+        let colors = colors.map(<[_]>::to_vec).or_else(greys).unwrap_or_default();
+        match colors.is_empty() {
+            true => tsdfuse_io::mesh::write(path, mesh)?,
+            false => tsdfuse_io::mesh::write_colored(path, mesh, &colors)?,
+        }
+    }
+    let color = |painted: &Painted| ColorReport {
+        images: painted.images,
+        vertices: painted.seen,
+    };
+    Ok(MeshReport {
+        path: path.to_owned(),
+        vertices: mesh.vertices.len(),
+        triangles: mesh.triangles.len(),
+        write_seconds: start.elapsed().as_secs_f64(),
+        color: painting.colors.as_ref().map(color),
+        ..MeshReport::default()
     })
 }
 
 /// Extracts the surface of a paged map, which must not be empty, and writes it. The triangles are those of [`write()`], in
-/// another order.
+/// another order. For a page, the whole mesh is in memory, though not the map.
 ///
 /// # Errors
 /// As [`write()`]; if the store cannot be read.
-pub fn write_in_parts(map: &mut PagedMap, config: &MeshConfig, path: &Path) -> Result<MeshReport> {
+pub fn write_in_parts(map: &mut PagedMap, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport> {
     if is_tileset(path) {
         return tiles::write(path, &mut map.surface(config));
+    }
+    if page::is_page(path) {
+        let blocks = map.sizes().blocks as usize;
+        let mut whole = Whole(Mesh::default());
+        let extract = || {
+            map.mesh(config, &mut whole)?;
+            Ok(whole.0)
+        };
+        return write_mesh(extract, blocks, config, path, scene);
     }
     let start = Instant::now();
     let mut out = Parts(ply::Stream::new(path)?);
@@ -123,7 +207,7 @@ pub fn write_in_parts(map: &mut PagedMap, config: &MeshConfig, path: &Path) -> R
         triangles: triangles as usize,
         seconds,
         write_seconds: start.elapsed().as_secs_f64() - seconds,
-        tiles: None,
+        ..MeshReport::default()
     })
 }
 
@@ -147,6 +231,22 @@ impl MeshSink for Parts {
 
     fn triangles(&mut self, triangles: &[[u32; 3]]) -> std::io::Result<()> {
         self.0.triangles(triangles)
+    }
+}
+
+/// A mesh that takes its parts.
+struct Whole(Mesh);
+
+impl MeshSink for Whole {
+    fn vertices(&mut self, positions: &[DVec3], normals: &[Vec3]) -> std::io::Result<()> {
+        self.0.vertices.extend_from_slice(positions);
+        self.0.normals.extend_from_slice(normals);
+        Ok(())
+    }
+
+    fn triangles(&mut self, triangles: &[[u32; 3]]) -> std::io::Result<()> {
+        self.0.triangles.extend_from_slice(triangles);
+        Ok(())
     }
 }
 
@@ -178,6 +278,7 @@ mod tiles {
                 levels: written.levels,
                 bytes: written.bytes,
             }),
+            color: None,
         })
     }
 }

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use tsdfuse::glam::DVec3;
 use tsdfuse::render::{Camera, ImageKind, RenderConfig, Renderer, View, overview};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Pose, VoxelMap};
@@ -57,7 +58,11 @@ pub fn write(look: &mut Look<'_>, camera: &Camera, pose: Pose, files: &[(ImageKi
     let view = look(camera, pose)?;
     let seconds = start.elapsed().as_secs_f64();
     for (kind, path) in files {
-        tsdfuse_io::png::write(path, &view.image(*kind))?;
+        let image = match kind {
+            ImageKind::Shaded => view.shaded(camera, pose),
+            kind => view.image(*kind),
+        };
+        tsdfuse_io::png::write(path, &image)?;
     }
     Ok(ViewReport {
         pose: pose.to_row_major_3x4(),
@@ -75,11 +80,11 @@ pub fn preview_camera() -> Pinhole {
     Pinhole::with_fov(1280, 720, 60f32.to_radians())
 }
 
-/// Writes an overview of a map.
-pub(crate) fn preview(see: See<'_>, path: &Path) -> Result<ViewReport> {
+/// Writes an overview of a map, of what lies around where the sensor was driven.
+pub(crate) fn preview(see: See<'_>, driven: &[DVec3], path: &Path) -> Result<ViewReport> {
     let See { renderer, mut look } = see;
     let camera = preview_camera();
-    let pose = overview(renderer, &camera);
+    let pose = overview(renderer, &camera, driven);
     let pose = pose.ok_or_else(|| RunError::Nothing("the map has no surface".to_owned()))?;
     let file = (ImageKind::Shaded, path.to_owned());
     write(&mut look, &Camera::Pinhole(camera), pose, &[file])

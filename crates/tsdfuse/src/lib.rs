@@ -61,6 +61,7 @@ pub mod mesh;
 pub mod normals;
 mod patch;
 pub mod pose;
+pub mod raster;
 pub mod reach;
 pub mod render;
 pub mod scan;

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use anyhow::{Context, Result};
 use glam::{DQuat, DVec3};
 use tsdfuse::Pose;
-use tsdfuse::render::{Renderer, overview, turntable};
+use tsdfuse::render::{Renderer, flight, overview, turntable};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse_io::rgbd::OPTICAL_FROM_SENSOR;
 
@@ -19,15 +19,23 @@ const SIZE: Size = Size {
 };
 const FOV_DEG: f32 = 60.0;
 
+/// Speed of a flight, and how long it may take.
+const SPEED_M_PER_SEC: f64 = 6.0;
+const SHORTEST_SECS: f64 = 4.0;
+const LONGEST_SECS: f64 = 120.0;
+
 /// From where, and through which camera.
 #[derive(Debug, clap::Args)]
 pub(super) struct LookArgs {
-    /// Show the whole map from above (default).
+    /// Show what lies around the sensor's path from above (default).
     #[arg(long)]
     pub(super) overview: bool,
-    /// Show the whole map from N viewpoints around it.
+    /// Show it from N viewpoints around it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=9999))]
     pub(super) views: Option<u16>,
+    /// Fly along the sensor's path.
+    #[arg(long)]
+    pub(super) along_path: bool,
     #[arg(
         help = "Render from this pose: X,Y,Z[,YAW[,PITCH[,ROLL]]], or a file with one pose",
         long,
@@ -45,7 +53,7 @@ pub(super) struct LookArgs {
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_triple, allow_hyphen_values = true, requires = "from")]
     pub(super) to: Option<DVec3>,
     /// Poses are given in the optical frame: x right, y down, z forward.
-    #[arg(long, conflicts_with_all = ["overview", "views", "from"])]
+    #[arg(long, conflicts_with_all = ["overview", "views", "along_path", "from"])]
     pub(super) optical: bool,
     #[arg(long, value_name = "WIDTHxHEIGHT",
         help = format!("Pixels [default: {}x{}]", SIZE.width, SIZE.height))]
@@ -71,6 +79,8 @@ pub(super) enum Look {
     From(Vec<Pose>),
     /// From as many places around all of it.
     Around(usize),
+    /// From places along the sensor's path.
+    Along,
     /// From where all of it is seen.
     Overview,
 }
@@ -80,6 +90,9 @@ impl Look {
     pub(super) fn of(args: &LookArgs) -> Result<Self> {
         if let Some(views) = args.views {
             return Ok(Self::Around(views.into()));
+        }
+        if args.along_path {
+            return Ok(Self::Along);
         }
         if let (Some(from), Some(to)) = (args.from, args.to) {
             return Ok(Self::From(vec![towards(from, to)?]));
@@ -96,11 +109,16 @@ impl Look {
     }
 
     /// The poses; `camera` is what must have the whole map in its image.
-    pub(super) fn poses(self, renderer: &Renderer, camera: &Pinhole) -> Vec<Pose> {
+    pub(super) fn poses(self, renderer: &Renderer, camera: &Pinhole, path: &[DVec3]) -> Vec<Pose> {
         match self {
             Self::From(poses) => poses,
-            Self::Around(views) => turntable(renderer, camera, views),
-            Self::Overview => overview(renderer, camera).into_iter().collect(),
+            Self::Around(views) => turntable(renderer, camera, path, views),
+            Self::Along => {
+                let length_m: f64 = path.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+                let seconds = (length_m / SPEED_M_PER_SEC).clamp(SHORTEST_SECS, LONGEST_SECS);
+                flight(path, (seconds * f64::from(super::movie::FRAMES_PER_SEC)) as usize)
+            }
+            Self::Overview => overview(renderer, camera, path).into_iter().collect(),
         }
     }
 }

@@ -4,6 +4,7 @@
 
 mod bad_input;
 mod bench;
+mod browser;
 mod eval;
 mod evaluate;
 mod fuse;
@@ -12,6 +13,7 @@ mod gpu;
 mod help;
 mod info;
 mod map;
+mod page;
 mod paging;
 mod ply;
 mod poses;
@@ -21,3 +23,5 @@ mod run;
 mod simulate;
 #[cfg(feature = "tiles")]
 mod tiles;
+#[cfg(feature = "view")]
+mod view;

@@ -384,3 +384,68 @@ fn what_is_wrong_with_a_map_is_said_in_one_line() {
     );
     assert_eq!(names(&folder.path("")), ["box", "box.tsdf"]);
 }
+
+#[test]
+fn plans_sections_and_heights_are_cut_out_of_a_map() {
+    let folder = Folder::new();
+    let log = folder.simulate("log", "street", "vlp16", 4, &[]);
+    let map = folder.text("street.tsdf");
+    tsdfuse(&[
+        "fuse",
+        &log,
+        "--save-map",
+        &map,
+        "--voxel-size",
+        "0.2",
+        "--truncation",
+        "0.6",
+    ])
+    .succeeded();
+    let [png, pgm, tif, section, ground, top] = [
+        "plan.png",
+        "plan.yaml",
+        "plan.tif",
+        "section.png",
+        "ground.tif",
+        "top.tif",
+    ]
+    .map(|name| folder.text(name));
+    for out in [&png, &pgm, &tif] {
+        tsdfuse(&["map", "slice", &map, "--height", "1.0", "-o", out]).succeeded();
+    }
+    let grid = std::fs::read(folder.path("plan.pgm")).unwrap();
+    let count = |cell: u8| grid.iter().filter(|byte| **byte == cell).count();
+    assert!(count(0) > 100 && count(100) > 100 && count(255) > 1000);
+    let yaml = std::fs::read_to_string(folder.path("plan.yaml")).unwrap();
+    assert!(
+        yaml.contains("image: \"plan.pgm\"") && yaml.contains("resolution: 0.2"),
+        "{yaml}"
+    );
+    tsdfuse(&[
+        "map", "section", &map, "--from", "5,-12", "--to", "5,12", "-o", &section,
+    ])
+    .succeeded();
+    let terrain = [
+        "map",
+        "terrain",
+        &map,
+        "-o",
+        &ground,
+        "--surface",
+        &top,
+        "--epsg",
+        "32632",
+    ];
+    tsdfuse(&terrain).succeeded();
+    for file in [&png, &section] {
+        assert!(std::fs::read(file).unwrap().starts_with(b"\x89PNG"));
+    }
+    for file in [&tif, &ground, &top] {
+        assert!(std::fs::read(file).unwrap().starts_with(b"II*\0"));
+    }
+    let told = |more: &[&str], code| tsdfuse(&[&["map"][..], more].concat()).failed(code);
+    assert!(told(&["slice", &map, "--height", "900", "-o", &png], 1).contains("nothing was observed there"));
+    assert!(told(&["slice", &map, "--height", "1", "-o", "a.jpg"], 2).contains("as .png, .yaml or .tif"));
+    assert!(told(&["section", &map, "--from", "1,1", "--to", "1,1", "-o", &section], 2).contains("are one place"));
+    assert!(told(&["terrain", &map, "-o", &png], 2).contains("heights are written as .tif"));
+}

@@ -24,7 +24,7 @@ fn a_map_and_a_name_are_enough() {
     let map = map(&folder, "box", &["--offset", "691000,5335000,520"]);
     let [view, again] = ["view.png", "again.png"].map(|name| folder.text(name));
     let done = tsdfuse(&["render", &map, "-o", &view, "--json"]).succeeded().json();
-    assert_eq!(header(&fs::read(&view).unwrap()), (1280, 720, 8, 0));
+    assert_eq!(header(&fs::read(&view).unwrap()), (1280, 720, 8, 2));
     let share = done["views"][0]["surface_pixels"].as_u64().unwrap() as f64 / (1280.0 * 720.0);
     assert!(share > 0.02, "{share}");
     assert_eq!(done["views"][0]["files"][0], view.as_str());
@@ -64,7 +64,7 @@ fn kinds_and_views_have_names_and_formats_of_their_own() {
     .concat();
     let done = tsdfuse(&all).succeeded().json();
     assert_eq!(done["views"].as_array().unwrap().len(), 2);
-    for (kind, bits, color) in [("depth", 16, 0), ("normal", 8, 2), ("shaded", 8, 0), ("weight", 8, 2)] {
+    for (kind, bits, color) in [("depth", 16, 0), ("normal", 8, 2), ("shaded", 8, 2), ("weight", 8, 2)] {
         for view in ["00", "01"] {
             let bytes = fs::read(folder.path(&format!("v-{view}-{kind}.png"))).unwrap();
             assert_eq!(header(&bytes), (64, 48, bits, color), "{kind}");
@@ -121,7 +121,7 @@ fn poses_come_as_numbers_as_places_and_as_files() {
     ];
     let done = tsdfuse(&lidar).succeeded().json();
     assert!(done["views"][0]["surface_pixels"].as_u64().unwrap() > 100);
-    assert_eq!(header(&fs::read(&out).unwrap()), (1800, 16, 8, 0));
+    assert_eq!(header(&fs::read(&out).unwrap()), (1800, 16, 8, 2));
     let run = tsdfuse(&["render", &map, "-o", &out, "--pose", "50,0,0"]).succeeded();
     assert!(
         run.stderr.contains("tsdfuse: note: no surface is visible from there"),
@@ -178,4 +178,25 @@ fn what_cannot_be_rendered_is_said_in_one_line() {
     let line = tsdfuse(&["render", &map, "-o", &folder.text("no/v.png")]).failed(1);
     assert!(line.contains("no/v.png: no such folder"), "{line}");
     assert_eq!(names(&folder.path("")), ["box", "box.tsdf"]);
+}
+
+#[test]
+fn a_flight_goes_along_the_path() {
+    let folder = Folder::new();
+    let map = map(&folder, "street", &[]);
+    let out = folder.text("flight.png");
+    let small = ["--size", "64x36", "--along-path"];
+    tsdfuse(&[&["render", &map, "-o", &out][..], &small].concat()).succeeded();
+    let frames = names(&folder.path(""))
+        .into_iter()
+        .filter(|name| name.starts_with("flight-"));
+    assert_eq!(frames.count(), 100); // four seconds
+    let movie = folder.text("flight.mp4");
+    let line = tsdfuse(&["render", &map, "-o", &movie]).failed(2);
+    assert!(line.contains("a movie needs several views"), "{line}");
+    let run = tsdfuse(&[&["render", &map, "-o", &movie][..], &small].concat());
+    match run.code {
+        0 => assert!(fs::read(&movie).unwrap()[4..].starts_with(b"ftyp")),
+        code => assert!(run.failed(code).contains("ffmpeg, which is not installed")),
+    }
 }

@@ -30,7 +30,9 @@ mod config;
 mod field;
 mod image;
 mod orbit;
+mod plan;
 mod renderer;
+mod shaded;
 #[cfg(test)]
 mod tests;
 mod tree;
@@ -42,6 +44,7 @@ pub use cast::Ray;
 pub use config::{RenderConfig, RenderError};
 pub use image::{DEPTH_PER_M, Image, ImageKind, Pixels, WEIGHT_RANGE};
 pub(crate) use image::{normal_color, viridis};
-pub use orbit::{overview, turntable};
+pub use orbit::{flight, overview, turntable};
+pub use plan::plan;
 pub use renderer::{Renderer, render};
 pub use view::{Hit, View};

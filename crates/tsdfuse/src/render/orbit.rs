@@ -1,5 +1,6 @@
 //! Poses from which a whole map is seen: from above, at an angle.
 
+use std::collections::HashSet;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use glam::{DQuat, DVec3};
@@ -24,18 +25,34 @@ const TAIL: f64 = 0.15;
 /// Regions that hold this many times less surface than those of most of the surface are not dense.
 const DENSE: u64 = 2;
 
+/// Surface within this of the path counts, metres.
+const AROUND_M: f64 = 18.0;
+
+/// A flight's camera is so far above the sensor's places, and looks so far ahead, metres.
+const ABOVE_M: f64 = 1.2;
+/// See [`ABOVE_M`].
+const AHEAD_M: f64 = 9.0;
+
+/// Places to each side that a place of a flight is averaged with.
+const SMOOTH: usize = 4;
+
+/// A shorter path goes nowhere, metres.
+const SHORTEST_M: f64 = 0.2;
+
 /// The share of the image that stays free at its borders.
 const MARGIN: f64 = 0.04;
 
-/// The pose from which a camera sees most of the map's surface across its long side; what is far out and sparse may lie outside of the picture. `None` for a map without surface.
-pub fn overview(renderer: &Renderer, camera: &Pinhole) -> Option<Pose> {
-    turntable(renderer, camera, 1).pop()
+/// The pose from which a camera sees most of the map's surface across its long side; what is far out and sparse may lie outside of
+/// the picture. Of a map whose sensor's `path` (world) is known, only what lies around it counts; without surface there, all does.
+/// `None` for a map without surface.
+pub fn overview(renderer: &Renderer, camera: &Pinhole, path: &[DVec3]) -> Option<Pose> {
+    turntable(renderer, camera, path, 1).pop()
 }
 
 /// `count` poses around the map, all as far from it; the first looks as [`overview`] does, the others follow
 /// counter-clockwise. None for a map without surface.
-pub fn turntable(renderer: &Renderer, camera: &Pinhole, count: usize) -> Vec<Pose> {
-    let Some(hull) = Hull::of(renderer) else {
+pub fn turntable(renderer: &Renderer, camera: &Pinhole, path: &[DVec3], count: usize) -> Vec<Pose> {
+    let Some(hull) = Hull::of(renderer, path) else {
         return Vec::new();
     };
     let turns = (0..count).map(|i| OBLIQUE_RAD + TAU * i as f64 / count as f64);
@@ -46,6 +63,77 @@ pub fn turntable(renderer: &Renderer, camera: &Pinhole, count: usize) -> Vec<Pos
         translation: hull.center + axes * DVec3::new(back, place.y, place.z),
     };
     places.into_iter().map(pose).collect()
+}
+
+/// What lies around a path, seen from above.
+struct Near(HashSet<(i64, i64)>);
+
+impl Near {
+    /// Squares of a third of [`AROUND_M`], each within it of the path.
+    fn new(path: &[DVec3]) -> Self {
+        let around = |(x, y): (i64, i64)| (-3..=3).flat_map(move |dx| (-3..=3).map(move |dy| (x + dx, y + dy)));
+        Self(
+            path.iter()
+                .map(|place| Self::square(*place))
+                .collect::<HashSet<_>>()
+                .into_iter()
+                .flat_map(around)
+                .collect(),
+        )
+    }
+
+    fn square(place: DVec3) -> (i64, i64) {
+        let at = (place / (AROUND_M / 3.0)).floor();
+        (at.x as i64, at.y as i64)
+    }
+
+    fn is_near(&self, place: DVec3) -> bool {
+        self.0.contains(&Self::square(place))
+    }
+}
+
+/// Poses of a flight along a path (world), in even steps: some way above the sensor's places, smoothed, looking ahead. None for a path
+/// that goes nowhere.
+pub fn flight(path: &[DVec3], count: usize) -> Vec<Pose> {
+    let smooth = |i: usize| {
+        // Even to both sides, so that the ends stay where they are.
+        let far = SMOOTH.min(i).min(path.len() - 1 - i);
+        let around = &path[i - far..=i + far];
+        around.iter().sum::<DVec3>() / around.len() as f64
+    };
+    let places: Vec<DVec3> = (0..path.len()).map(smooth).collect();
+    let mut lengths = vec![0.0];
+    for pair in places.windows(2) {
+        lengths.push(lengths[lengths.len() - 1] + pair[0].distance(pair[1]));
+    }
+    let whole = lengths[lengths.len() - 1];
+    if whole < SHORTEST_M {
+        return Vec::new();
+    }
+    let at = |length: f64| {
+        let i = lengths
+            .partition_point(|&before| before <= length)
+            .clamp(1, places.len() - 1);
+        let (from, to) = (lengths[i - 1], lengths[i]);
+        let share = if to > from { (length - from) / (to - from) } else { 0.0 };
+        places[i - 1].lerp(places[i], share.min(1.0))
+    };
+    let ahead_m = AHEAD_M.min(0.5 * whole);
+    let pose = |i: usize| {
+        let length = whole * i as f64 / (count.max(2) - 1) as f64;
+        // Beyond the end, the way goes on straight.
+        let beyond = ((length + ahead_m - whole) / ahead_m).max(0.0);
+        let there = at((length + ahead_m).min(whole)) + (at(whole) - at(whole - 0.1 * ahead_m)) * (10.0 * beyond);
+        let eye = at(length) + DVec3::Z * ABOVE_M;
+        let way = (there - eye).normalize_or(DVec3::X);
+        let rotation =
+            DQuat::from_rotation_z(way.y.atan2(way.x)) * DQuat::from_rotation_y(-way.z.clamp(-1.0, 1.0).asin());
+        Pose {
+            rotation,
+            translation: eye,
+        }
+    };
+    (0..count).map(pose).collect()
 }
 
 /// The blocks where the surface is dense, and how much of it each holds: far from the sensor, single specks and lines lie about.
@@ -118,13 +206,17 @@ struct Hull {
 }
 
 impl Hull {
-    fn of(renderer: &Renderer) -> Option<Self> {
+    fn of(renderer: &Renderer, path: &[DVec3]) -> Option<Self> {
         let grid = renderer.map().grid();
         let center = |block| grid.center(voxel_at(block, 0)) + 3.5 * grid.voxel_size_m();
         let mut points: Vec<(DVec3, u32)> = dense(renderer)
             .into_iter()
             .map(|(block, cells)| (center(block), cells))
             .collect();
+        let near = Near::new(path);
+        if points.iter().any(|(point, _)| near.is_near(*point)) {
+            points.retain(|(point, _)| near.is_near(*point));
+        }
         let (first, _) = *points.first()?;
         // Relative to the first: covariances do not suffer from large coordinates.
         points.iter_mut().for_each(|(p, _)| *p -= first);
@@ -186,6 +278,48 @@ impl Hull {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_flight_goes_along_the_path_and_looks_ahead() {
+        // A quarter of a circle of 40 m, and a straight way.
+        let turn = (0..=90)
+            .map(|i| f64::from(i).to_radians())
+            .map(|a| DVec3::new(40.0 * a.sin(), 40.0 - 40.0 * a.cos(), 2.0));
+        let path: Vec<DVec3> = turn
+            .chain((1..=60).map(|i| DVec3::new(40.0, 40.0 + f64::from(i), 2.0)))
+            .collect();
+        let poses = flight(&path, 200);
+        assert_eq!(poses.len(), 200);
+        let steps: Vec<f64> = poses
+            .windows(2)
+            .map(|pair| pair[0].translation.distance(pair[1].translation))
+            .collect();
+        let mean = steps.iter().sum::<f64>() / steps.len() as f64;
+        assert!(steps.iter().all(|step| (step / mean - 1.0).abs() < 0.2), "{steps:?}");
+        for pair in poses.windows(2) {
+            let (way, ahead) = (
+                (pair[1].translation - pair[0].translation).normalize(),
+                pair[0].rotation * DVec3::X,
+            );
+            assert!(way.dot(ahead) > 0.95, "{way} {ahead}");
+            let near = path
+                .iter()
+                .map(|place| place.distance(pair[0].translation))
+                .fold(f64::MAX, f64::min);
+            assert!(near < 1.5, "{near}");
+            assert!((pair[0].rotation * DVec3::Y).z.abs() < 1e-9, "the horizon is level");
+        }
+        assert!(
+            flight(&[], 10).is_empty() && flight(&[DVec3::X; 9], 10).is_empty() && flight(&path[..3], 10).len() == 10
+        );
+    }
+
+    #[test]
+    fn squares_around_a_path_are_near() {
+        let near = Near::new(&[DVec3::ZERO, DVec3::X * 100.0]);
+        assert!(near.is_near(DVec3::new(10.0, -10.0, 50.0)) && near.is_near(DVec3::new(95.0, 0.0, 0.0)));
+        assert!(!near.is_near(DVec3::new(50.0, 0.0, 0.0)) && !near.is_near(DVec3::new(0.0, 26.0, 0.0)));
+    }
 
     fn spread(values: impl IntoIterator<Item = (f64, u32)>) -> (f64, f64) {
         Spread::new(values.into_iter().collect()).most()

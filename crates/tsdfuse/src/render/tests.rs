@@ -410,9 +410,9 @@ fn overviews_show_nearly_all_blocks_and_stray_ones_do_not_count() {
             .unwrap();
         let renderer = Renderer::new(&map, &RenderConfig::default()).unwrap();
         let camera = Pinhole::with_fov(80, 60, 1.0);
-        let poses = turntable(&renderer, &camera, 5);
+        let poses = turntable(&renderer, &camera, &[], 5);
         assert_eq!(poses.len(), 5);
-        for pose in poses.into_iter().chain(overview(&renderer, &camera)) {
+        for pose in poses.into_iter().chain(overview(&renderer, &camera, &[])) {
             let back = pose.inverse();
             let inside = renderer.surface_blocks().filter(|block| {
                 let center = map.grid().center(voxel_at(*block, 0)) + 0.175;
@@ -425,7 +425,7 @@ fn overviews_show_nearly_all_blocks_and_stray_ones_do_not_count() {
     }
     let empty = VoxelMap::new(MapConfig::default()).unwrap();
     let nothing = Renderer::new(&empty, &RenderConfig::default()).unwrap();
-    assert_eq!(overview(&nothing, &Pinhole::with_fov(80, 60, 1.0)), None);
+    assert_eq!(overview(&nothing, &Pinhole::with_fov(80, 60, 1.0), &[]), None);
 }
 
 proptest! {

@@ -1,0 +1,140 @@
+//! Live views, in a real browser.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, ChildStderr};
+
+use crate::browser::{Browser, chromium};
+use crate::run::{Folder, command, tsdfuse};
+
+/// A command that serves a view until it is dropped.
+struct Serving {
+    process: Child,
+    url: String,
+    told: std::io::Lines<BufReader<ChildStderr>>,
+}
+
+impl Serving {
+    fn start(arguments: &[&str]) -> Self {
+        let mut process = command(arguments).spawn().unwrap();
+        let mut told = BufReader::new(process.stderr.take().unwrap()).lines();
+        let mut lines = Vec::new();
+        let url = told.by_ref().find_map(|line| {
+            lines.push(line.ok()?);
+            Some(lines.last()?.trim().strip_prefix("view ")?.trim().to_owned())
+        });
+        let url = url.unwrap_or_else(|| panic!("no URL in {lines:?}"));
+        Self { process, url, told }
+    }
+
+    /// Interrupts it, and waits for its end.
+    #[cfg(unix)]
+    fn interrupt(mut self) -> (i32, Vec<String>) {
+        let pid = self.process.id().to_string();
+        std::process::Command::new("kill")
+            .args(["-INT", &pid])
+            .status()
+            .unwrap();
+        let code = self.process.wait().unwrap().code().unwrap();
+        (code, self.told.by_ref().map_while(Result::ok).collect())
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_run_is_watched_while_it_grows_and_stays_until_it_is_interrupted() {
+    let Some(chromium) = chromium() else { return };
+    let folder = Folder::new();
+    let log = folder.simulate("log", "street", "vlp16", 30, &[]);
+    let (mesh, plain) = (folder.text("street.ply"), folder.text("plain.ply"));
+    let coarse = ["--voxel-size", "0.2", "--truncation", "0.6"];
+    tsdfuse(&[&["fuse", &log, "-o", &plain][..], &coarse].concat()).succeeded();
+    let serving = Serving::start(&[&["fuse", &log, "-o", &mesh, "--view=127.0.0.1:0"][..], &coarse].concat());
+    assert!(serving.url.starts_with("http://127.0.0.1:"), "{}", serving.url);
+    let mut browser = Browser::open(&chromium, &serving.url, [800, 600]);
+    // In the end it shows all triangles of the mesh; watching changes no bit of it.
+    browser.wait("tsdfuse.state().path === 30 && tsdfuse.state().figures.some((row) => row.startsWith('scans30'))");
+    let text = String::from_utf8_lossy(&std::fs::read(&plain).unwrap()).into_owned();
+    let faces = text
+        .lines()
+        .find_map(|line| line.strip_prefix("element face "))
+        .unwrap()
+        .to_owned();
+    browser.wait(&format!("tsdfuse.state().triangles === {faces}"));
+    let shot = browser.shot();
+    let grey = shot
+        .pixels
+        .iter()
+        .filter(|[r, g, b]| r.abs_diff(*g) < 6 && g.abs_diff(*b) < 10)
+        .count();
+    assert!(grey * 10 > shot.pixels.len(), "{grey}");
+    assert_eq!(browser.errors, [""; 0]);
+    assert!(
+        browser
+            .requests
+            .iter()
+            .all(|url| url.contains("127.0.0.1") || url.starts_with("blob:")),
+        "{:?}",
+        browser.requests
+    );
+    let (code, told) = serving.interrupt();
+    assert_eq!(code, 0, "{told:?}");
+    assert_eq!(std::fs::read(&mesh).unwrap(), std::fs::read(&plain).unwrap());
+}
+
+#[test]
+fn meshes_maps_and_tiles_are_viewed() {
+    let Some(chromium) = chromium() else { return };
+    let folder = Folder::new();
+    let log = folder.simulate("log", "street", "vlp16", 6, &[]);
+    let (map, mesh, tiles) = (
+        folder.text("a.tsdf"),
+        folder.text("a.ply"),
+        folder.text("tiles/tileset.json"),
+    );
+    tsdfuse(&[
+        "fuse",
+        &log,
+        "-o",
+        &mesh,
+        "--save-map",
+        &map,
+        "--voxel-size",
+        "0.2",
+        "--truncation",
+        "0.6",
+    ])
+    .succeeded();
+    let mut paths = vec![map.clone(), mesh];
+    if cfg!(feature = "tiles") {
+        tsdfuse(&["mesh", &map, "-o", &tiles]).succeeded();
+        paths.push(tiles);
+    }
+    let mut counts = Vec::new();
+    for path in paths {
+        let serving = Serving::start(&["view", &path, "--address", "127.0.0.1:0"]);
+        let mut browser = Browser::open(&chromium, &serving.url, [800, 600]);
+        if path.ends_with(".json") {
+            browser.wait("tsdfuse.state().tiles > 0");
+        } else {
+            browser.wait("tsdfuse.state().triangles > 0 && tsdfuse.state().status === ''");
+            counts.push(browser.state()["triangles"].clone());
+        }
+        browser.key("Digit2");
+        let shot = browser.shot();
+        let vivid = shot
+            .pixels
+            .iter()
+            .filter(|p| p.iter().max().unwrap() - p.iter().min().unwrap() > 120)
+            .count();
+        assert!(vivid > 5_000, "{path}: {vivid}");
+        assert_eq!(browser.errors, [""; 0], "{path}");
+    }
+    assert_eq!(counts[0], counts[1]);
+}

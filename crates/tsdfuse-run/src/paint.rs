@@ -1,0 +1,324 @@
+//! Colours of a surface, from the cameras of a log.
+//!
+//! ```text
+//!   each image ─▶ which vertices it sees: the map itself hides the others
+//!              ─▶ how bright it is against the others, where they see the same      (exposure)
+//!              ─▶ its colour for each vertex, weighted: near and frontal views count most
+//! ```
+
+use rayon::prelude::*;
+use tsdfuse::glam::{DVec3, Vec3};
+use tsdfuse::render::{Camera, Renderer, View};
+use tsdfuse::sensor::Pinhole;
+use tsdfuse::{Mesh, Pose};
+use tsdfuse_io::photo::{self, Photo};
+use tsdfuse_io::rgbd::OPTICAL_FROM_SENSOR;
+use tsdfuse_io::{ImageRef, Log};
+
+use crate::error::{Result, RunError};
+use crate::event::{Event, Observer};
+
+/// The colour of vertices that no image sees.
+pub const UNSEEN: [u8; 3] = [150, 150, 150];
+
+/// Pixels of an image per pixel of the view that tells what is hidden, along an edge.
+const COARSER: u32 = 4;
+
+/// A vertex this many voxels behind what the camera sees first is hidden.
+const BEHIND_VOXELS: f32 = 3.0;
+
+/// Surface farther from the camera than this gets no colour: a pixel is then as large as a few voxels.
+const FARTHEST_M: f32 = 80.0;
+
+/// The least cosine between the normal and the way to the camera.
+const LEAST_COS: f32 = 0.1;
+
+/// Vertices that exposures are found from, about.
+const SAMPLES: usize = 20_000;
+
+/// Rounds of finding exposures: they converge quickly.
+const ROUNDS: usize = 20;
+
+/// Brightness at which an image tells nothing about its exposure: black or burnt out.
+const DARK: f32 = 12.0;
+/// See [`DARK`].
+const BRIGHT: f32 = 243.0;
+
+/// Colours of a mesh.
+#[derive(Clone, Debug, Default)]
+pub struct Painted {
+    /// sRGB of each vertex.
+    pub colors: Vec<[u8; 3]>,
+    /// Vertices that some image sees; the others are [`UNSEEN`].
+    pub seen: usize,
+    /// Images that were used.
+    pub images: usize,
+    /// The gain of each of these.
+    pub gains: Vec<f32>,
+}
+
+/// An image that can be projected.
+struct Shot<'a> {
+    image: &'a ImageRef,
+    camera_from_world: Pose,
+    eye: DVec3,
+    view: View,
+    coarse: Pinhole,
+}
+
+/// Finds the colours of a mesh that was extracted from the renderer's map.
+///
+/// # Errors
+/// [`RunError::Config`] if the log has no images with known poses; if an image cannot be read.
+pub fn paint(mesh: &Mesh, renderer: &Renderer<'_>, log: &Log, observer: &mut dyn Observer) -> Result<Painted> {
+    let usable = |(index, image): (usize, &'_ ImageRef)| image.pose.map(|_| index);
+    let usable: Vec<usize> = log.images().iter().enumerate().filter_map(usable).collect();
+    if usable.is_empty() {
+        return Err(RunError::config(
+            "colours need images of cameras whose poses and intrinsics the log tells; this log has none",
+        ));
+    }
+    observer.on(Event::Working("colouring"));
+    let behind_m = BEHIND_VOXELS * renderer.map().config().voxel_size_m as f32;
+    // First how bright the images are, by some vertices.
+    let some: Vec<u32> = (0..mesh.vertices.len() as u32)
+        .step_by(mesh.vertices.len() / SAMPLES + 1)
+        .collect();
+    let mut brightness: Vec<Vec<(u32, f32)>> = Vec::with_capacity(usable.len());
+    for &index in &usable {
+        let (shot, photo) = open(log, index, renderer)?;
+        let sample = |(number, &vertex): (usize, &u32)| {
+            let (color, _) = shot.color(mesh, vertex as usize, &photo, behind_m)?;
+            let is_clear = color.iter().all(|c| (DARK..BRIGHT).contains(c));
+            is_clear.then(|| (number as u32, luminance(color)))
+        };
+        brightness.push(some.par_iter().enumerate().filter_map(sample).collect());
+    }
+    let gains = gains(&brightness, some.len());
+    // Then all colours.
+    let mut sums = vec![(Vec3::ZERO, 0.0_f32); mesh.vertices.len()];
+    for (&index, &gain) in usable.iter().zip(&gains) {
+        let (shot, photo) = open(log, index, renderer)?;
+        sums.par_iter_mut().enumerate().for_each(|(vertex, sum)| {
+            if let Some((color, weight)) = shot.color(mesh, vertex, &photo, behind_m) {
+                let light = Vec3::from_array(color.map(linear)) * gain;
+                *sum = (sum.0 + light * weight, sum.1 + weight);
+            }
+        });
+    }
+    let color = |(light, weight): &(Vec3, f32)| match *weight > 0.0 {
+        true => (*light / *weight).to_array().map(srgb),
+        false => UNSEEN,
+    };
+    Ok(Painted {
+        seen: sums.iter().filter(|(_, weight)| *weight > 0.0).count(),
+        colors: sums.iter().map(color).collect(),
+        images: usable.len(),
+        gains,
+    })
+}
+
+/// Reads an image, and finds out what hides what from its camera.
+fn open<'a>(log: &'a Log, index: usize, renderer: &Renderer<'_>) -> Result<(Shot<'a>, Photo)> {
+    let image = &log.images()[index];
+    let photo = photo::decode(&image.name, &log.read_image(index)?)?;
+    let Pinhole {
+        width,
+        height,
+        fx,
+        fy,
+        cx,
+        cy,
+    } = image.camera;
+    if (photo.width, photo.height) != (width as usize, height as usize) {
+        let (name, w, h) = (&image.name, photo.width, photo.height);
+        return Err(RunError::config(format_args!(
+            "{name}: is an image of {w} x {h} pixels, and its camera has {width} x {height}"
+        )));
+    }
+    let pose = image.pose.unwrap_or(Pose::IDENTITY);
+    let scale = COARSER as f32;
+    let coarse = Pinhole {
+        width: width.div_ceil(COARSER),
+        height: height.div_ceil(COARSER),
+        fx: fx / scale,
+        fy: fy / scale,
+        cx: (cx + 0.5) / scale - 0.5,
+        cy: (cy + 0.5) / scale - 0.5,
+    };
+    let world_from_sensor = pose * OPTICAL_FROM_SENSOR;
+    let view = renderer.view(&Camera::Pinhole(coarse), world_from_sensor)?;
+    let shot = Shot {
+        image,
+        camera_from_world: pose.inverse(),
+        eye: pose.translation,
+        view,
+        coarse,
+    };
+    Ok((shot, photo))
+}
+
+impl Shot<'_> {
+    /// The colour of a vertex, if the image sees it, and how much it counts.
+    fn color(&self, mesh: &Mesh, vertex: usize, photo: &Photo, behind_m: f32) -> Option<([f32; 3], f32)> {
+        let place = mesh.vertices[vertex];
+        let back = (self.eye - place).as_vec3();
+        let distance_m = back.length();
+        let cos = mesh.normals[vertex].dot(back) / distance_m;
+        if !(distance_m < FARTHEST_M && cos > LEAST_COS) {
+            return None;
+        }
+        let seen = self.camera_from_world.transform_point(place).as_vec3();
+        if seen.z < 0.1 {
+            return None;
+        }
+        let camera = &self.image.camera;
+        let (x, y) = (seen.x / seen.z, seen.y / seen.z);
+        let (u, v) = (camera.fx * x + camera.cx, camera.fy * y + camera.cy);
+        // What hides it is looked up where an undistorted camera would see it.
+        let is_in = u > 0.0 && v > 0.0 && u < (camera.width - 1) as f32 && v < (camera.height - 1) as f32;
+        if !is_in || self.is_hidden([u, v], seen.z, behind_m) {
+            return None;
+        }
+        let (u, v) = match &self.image.distortion {
+            Some(d) => {
+                let [x, y] = distorted(d, [x, y]);
+                (camera.fx * x + camera.cx, camera.fy * y + camera.cy)
+            }
+            None => (u, v),
+        };
+        let color = photo.at(u, v)?;
+        // A pixel's footprint on the surface: the finest view counts most.
+        let detail = cos / distance_m;
+        Some((color, detail * detail * detail))
+    }
+
+    fn is_hidden(&self, [u, v]: [f32; 2], depth_m: f32, behind_m: f32) -> bool {
+        let scale = COARSER as f32;
+        let (column, row) = (((u + 0.5) / scale - 0.5).round(), ((v + 0.5) / scale - 0.5).round());
+        let (column, row) = (column.max(0.0) as usize, row.max(0.0) as usize);
+        let (column, row) = (
+            column.min(self.coarse.width as usize - 1),
+            row.min(self.coarse.height as usize - 1),
+        );
+        // At the edge of something near, neighbouring pixels see it first: it hides a little more than it should.
+        let near = |column: usize, row: usize| self.view.hit(column, row).map_or(f32::INFINITY, |hit| hit.depth_m);
+        let around = (row.saturating_sub(1)..=row + 1)
+            .flat_map(|row| (column.saturating_sub(1)..=column + 1).map(move |column| (column, row)));
+        let first = around
+            .map(|(column, row)| near(column, row))
+            .fold(f32::INFINITY, f32::min);
+        // Grazing surface is much deeper within three pixels.
+        let here = near(column, row);
+        depth_m > here + behind_m || depth_m > first + 0.05 * depth_m + 4.0 * behind_m
+    }
+}
+
+/// OpenCV's k1, k2, p1, p2, k3 on normalised coordinates.
+fn distorted(&[k1, k2, p1, p2, k3]: &[f64; 5], place: [f32; 2]) -> [f32; 2] {
+    let [x, y] = place.map(f64::from);
+    let r2 = x * x + y * y;
+    let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+    let dx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
+    let dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y;
+    [(x * radial + dx) as f32, (y * radial + dy) as f32]
+}
+
+fn luminance([r, g, b]: [f32; 3]) -> f32 {
+    0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b)
+}
+
+/// Linear light, 0 to 1, of an sRGB value of 255 (IEC 61966-2-1).
+fn linear(srgb: f32) -> f32 {
+    let value = srgb / 255.0;
+    match value <= 0.040_45 {
+        true => value / 12.92,
+        false => ((value + 0.055) / 1.055).powf(2.4),
+    }
+}
+
+fn srgb(light: f32) -> u8 {
+    let value = match light <= 0.003_130_8 {
+        true => 12.92 * light,
+        false => 1.055 * light.powf(1.0 / 2.4) - 0.055,
+    };
+    (255.0 * value + 0.5) as u8
+}
+
+/// By how much each image is brightened, such that vertices are as bright in all that see them; 1 in the mean. Each image's list
+/// has vertices and their luminance.
+fn gains(brightness: &[Vec<(u32, f32)>], vertices: usize) -> Vec<f32> {
+    let mut gains = vec![0.0_f64; brightness.len()]; // logarithms
+    for _ in 0..ROUNDS {
+        let mut means = vec![(0.0_f64, 0.0_f64); vertices];
+        for (gain, seen) in gains.iter().zip(brightness) {
+            for &(vertex, luminance) in seen {
+                let mean = &mut means[vertex as usize];
+                *mean = (mean.0 + f64::from(luminance).ln() + gain, mean.1 + 1.0);
+            }
+        }
+        for (gain, seen) in gains.iter_mut().zip(brightness) {
+            // The median, which glints and what moves do not shift.
+            let shared = seen.iter().filter(|(vertex, _)| means[*vertex as usize].1 > 1.0);
+            let mut off: Vec<f64> = shared
+                .map(|&(vertex, luminance)| {
+                    let (sum, count) = means[vertex as usize];
+                    sum / count - f64::from(luminance).ln()
+                })
+                .collect();
+            if !off.is_empty() {
+                let half = off.len() / 2;
+                *gain = *off.select_nth_unstable_by(half, f64::total_cmp).1;
+            }
+        }
+        let mean = gains.iter().sum::<f64>() / gains.len().max(1) as f64;
+        gains.iter_mut().for_each(|gain| *gain -= mean);
+    }
+    gains.iter().map(|gain| gain.exp().clamp(0.2, 5.0) as f32).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exposures_are_found_where_images_overlap() {
+        // Four images along a row of vertices, each brighter than the one before.
+        let light = |vertex: u32| 0.1 + 0.2 * (f64::from(vertex) * 0.37).sin().abs();
+        let exposure = [1.0, 1.5, 2.0, 0.7];
+        let image = |(i, exposure): (usize, &f64)| {
+            let seen = (30 * i as u32)..(30 * i as u32 + 60);
+            seen.map(|vertex| (vertex, (exposure * light(vertex)) as f32)).collect()
+        };
+        let brightness: Vec<Vec<(u32, f32)>> = exposure.iter().enumerate().map(image).collect();
+        let found = gains(&brightness, 200);
+        let products: Vec<f64> = found
+            .iter()
+            .zip(exposure)
+            .map(|(gain, exposure)| f64::from(*gain) * exposure)
+            .collect();
+        for product in &products {
+            assert!((product / products[0] - 1.0).abs() < 0.05, "{products:?}");
+        }
+        assert_eq!(gains(&[Vec::new()], 0), [1.0]);
+    }
+
+    #[test]
+    fn light_and_srgb_are_inverse() {
+        (0..=255_u8).for_each(|value| assert_eq!(srgb(linear(f32::from(value))), value));
+    }
+
+    #[test]
+    fn lenses_distort_as_opencv_says() {
+        // cv2.projectPoints of (0.3, -0.2, 1) with these coefficients and the identity as camera matrix.
+        let [x, y] = distorted(&[-0.3, 0.1, 0.001, -0.002, 0.0], [0.3, -0.2]);
+        let r2: f32 = 0.13;
+        let radial = 1.0 - 0.3 * r2 + 0.1 * r2 * r2;
+        let wanted = [
+            0.3 * radial + 2.0 * 0.001 * 0.3 * -0.2 - 0.002 * (r2 + 2.0 * 0.09),
+            -0.2 * radial + 0.001 * (r2 + 2.0 * 0.04) + 2.0 * -0.002 * 0.3 * -0.2,
+        ];
+        assert!((x - wanted[0]).abs() < 1e-6 && (y - wanted[1]).abs() < 1e-6);
+        assert!((OPTICAL_FROM_SENSOR.transform_point(DVec3::X) - DVec3::Z).length() < 1e-12);
+    }
+}
