@@ -15,7 +15,8 @@ use tsdfuse::mesh::{Incremental, MeshConfig};
 use tsdfuse::scan::{Dropped, RangeLimits};
 use tsdfuse::{Integration, Integrator, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::{self, FusedPose, Reader};
-use tsdfuse_run::{Device, RunConfig, surface};
+use tsdfuse_run::report::MapReport;
+use tsdfuse_run::{Device, RunConfig, scene, surface};
 
 use crate::arrays::{IntoRows, Rows, pose, triple};
 use crate::config::Config;
@@ -38,6 +39,13 @@ struct Fuser {
 pub(crate) struct Content {
     pub(crate) map: VoxelMap,
     poses: Vec<FusedPose>,
+}
+
+impl Content {
+    /// Where the sensor was, world.
+    pub(crate) fn path(&self) -> Vec<DVec3> {
+        self.poses.iter().map(|fused| fused.pose.translation).collect()
+    }
 }
 
 /// A map in memory. Threads may ask it at the same time; fusing waits for them.
@@ -329,9 +337,13 @@ impl Map {
     fn write_mesh<'py>(&self, py: Python<'py>, path: PathBuf, min_weight: Option<f32>) -> PyResult<Bound<'py, PyAny>> {
         let config = self.mesh_config(min_weight)?;
         surface::check(&path).or_raise()?;
-        let report = py
-            .detach(|| surface::write(&self.read().map, &config, &path))
-            .or_raise()?;
+        let write = || {
+            let content = self.read();
+            let Content { map, poses } = &*content;
+            let scene = scene::of_map("tsdfuse", map.config().voxel_size_m, &MapReport::of(map), poses);
+            surface::write(map, &config, &path, &scene)
+        };
+        let report = py.detach(write).or_raise()?;
         to_python(py, &report)
     }
 

@@ -155,6 +155,7 @@ pub(crate) fn track(
             scans: total,
             done: 0,
             device: None,
+            voxel_size_m: config.map.voxel_size_m,
         });
         let start = std::time::Instant::now();
         let tracked = if refine {

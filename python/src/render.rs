@@ -68,7 +68,9 @@ impl Map {
             let renderer = view::renderer(&content.map, &config).or_raise()?;
             let pose = match (asked, &camera) {
                 (Some(pose), _) => pose,
-                (None, Camera::Pinhole(pinhole)) => overview(&renderer, pinhole).ok_or_else(no_surface)?,
+                (None, Camera::Pinhole(pinhole)) => {
+                    overview(&renderer, pinhole, &content.path()).ok_or_else(no_surface)?
+                }
                 (None, Camera::Lidar(_)) => return Err(wrong("a LiDAR's view needs a pose")),
             };
             let view = device.look(&renderer, &config).or_raise()?(&camera, pose).or_raise()?;
@@ -91,7 +93,7 @@ impl Map {
         let poses = py.detach(|| {
             let content = self.read();
             let renderer = view::renderer(&content.map, &RenderConfig::default()).or_raise()?;
-            Ok::<_, PyErr>(turntable(&renderer, &camera, count))
+            Ok::<_, PyErr>(turntable(&renderer, &camera, &content.path(), count))
         })?;
         pose_arrays(py, poses.into_iter().map(Some))
     }

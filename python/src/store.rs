@@ -8,7 +8,8 @@ use tsdfuse::VoxelMap;
 use tsdfuse::mesh::{MeshConfig, extract_with};
 use tsdfuse_io::map_file::{self, FusedPose};
 use tsdfuse_io::{npz, ply};
-use tsdfuse_run::{RunError, surface};
+use tsdfuse_run::report::MapReport;
+use tsdfuse_run::{RunError, scene, surface};
 use tsdfuse_store::PagedMap;
 
 use crate::data::to_python;
@@ -41,7 +42,7 @@ impl Store {
         Ok(Self { map: Mutex::new(map) })
     }
 
-    /// Writes the surface: `.ply`, or `NAME/tileset.json`.
+    /// Writes the surface: `.ply`, `.html`, or `NAME/tileset.json`.
     #[pyo3(signature = (path, *, min_weight=None))]
     fn write_mesh<'py>(&self, py: Python<'py>, path: PathBuf, min_weight: Option<f32>) -> PyResult<Bound<'py, PyAny>> {
         let usual = MeshConfig::default().min_weight;
@@ -50,9 +51,18 @@ impl Store {
         };
         config.validate().or_raise()?;
         surface::check_in_parts(&path).or_raise()?;
-        let report = py
-            .detach(|| surface::write_in_parts(&mut self.lock(), &config, &path))
-            .or_raise()?;
+        let write = || {
+            let mut map = self.lock();
+            let title = map.path().to_string_lossy().into_owned();
+            let scene = scene::of_map(
+                &title,
+                map.config().voxel_size_m,
+                &MapReport::of_paged(&map),
+                map.poses(),
+            );
+            surface::write_in_parts(&mut map, &config, &path, &scene)
+        };
+        let report = py.detach(write).or_raise()?;
         to_python(py, &report)
     }
 
