@@ -159,9 +159,24 @@ pub(crate) fn track(
         });
         let start = std::time::Instant::now();
         let tracked = if refine {
-            tsdfuse_run::refine(&log.log, &selection, config.odometry, config.range, stop, teller)
+            tsdfuse_run::refine(
+                &log.log,
+                &selection,
+                config.odometry,
+                Some(config.loops),
+                config.range,
+                stop,
+                teller,
+            )
         } else {
-            tsdfuse_run::track(&log.log, &selection, config.odometry, config.range, stop)
+            tsdfuse_run::track(
+                &log.log,
+                &selection,
+                config.odometry,
+                Some(config.loops),
+                config.range,
+                stop,
+            )
         };
         let tracked = tracked.or_raise()?;
         let report = tracked.report(start.elapsed().as_secs_f64());
