@@ -76,7 +76,7 @@ pub(crate) use reading::{open, parse};
 #[cfg(feature = "las")]
 mod reading {
     use std::collections::BTreeMap;
-    use std::io::{Read, Seek};
+    use std::io::{Read, Seek, SeekFrom};
     use std::sync::Arc;
 
     use las::{PointData, Reader};
@@ -181,7 +181,52 @@ mod reading {
     }
 
     fn reader(path: &Path) -> Result<Reader> {
-        Reader::from_path(path).map_err(wrong(path))
+        let file = std::fs::File::open(path).map_err(Error::io(path))?;
+        checked_reader(path, std::io::BufReader::new(file))
+    }
+
+    /// A reader of what does not claim more chunks than it has bytes.
+    fn checked_reader(path: &Path, mut input: impl Read + Seek + Send + Sync + 'static) -> Result<Reader> {
+        let claimed = claimed_chunks(&mut input).map_err(|_| Error::format(path, "is truncated"))?;
+        if let Some((chunks, bytes)) = claimed.filter(|(chunks, bytes)| chunks > bytes) {
+            let reason = format!("claims {chunks} chunks of points in {bytes} bytes");
+            return Err(Error::format(path, reason));
+        }
+        Reader::new(input).map_err(wrong(path))
+    }
+
+    /// The number of chunks that LAZ tells, and the bytes of the file; `None` if it is not compressed. Goes back to the begin.
+    fn claimed_chunks(input: &mut (impl Read + Seek)) -> std::io::Result<Option<(u64, u64)>> {
+        let bytes = input.seek(SeekFrom::End(0))?;
+        input.seek(SeekFrom::Start(0))?;
+        let mut head = [0; 105];
+        input.read_exact(&mut head)?;
+        let is_compressed = head[104] & 0xC0 != 0;
+        let mut chunks = None;
+        if is_compressed {
+            let mut number = [0; 8];
+            let points = u32::from_le_bytes([head[96], head[97], head[98], head[99]]);
+            input.seek(SeekFrom::Start(points.into()))?;
+            input.read_exact(&mut number)?;
+            let mut table = i64::from_le_bytes(number);
+            if table <= 0 {
+                // A writer that could not go back told it at the end.
+                input.seek(SeekFrom::End(-8))?;
+                input.read_exact(&mut number)?;
+                table = i64::from_le_bytes(number);
+            }
+            if let Ok(table) = u64::try_from(table) {
+                input.seek(SeekFrom::Start(table))?;
+                // Its version, and how many there are.
+                input.read_exact(&mut number)?;
+                chunks = Some((
+                    u32::from_le_bytes([number[4], number[5], number[6], number[7]]).into(),
+                    bytes,
+                ));
+            }
+        }
+        input.seek(SeekFrom::Start(0))?;
+        Ok(chunks)
     }
 
     /// The next points; `None` at the end.
@@ -283,7 +328,7 @@ mod reading {
     }
 
     fn read(path: &Path, input: impl Read + Seek + Send + Sync + 'static) -> Result<Cloud> {
-        let mut reader = Reader::new(input).map_err(wrong(path))?;
+        let mut reader = checked_reader(path, input)?;
         let (mut points, mut intensities) = (Vec::new(), Vec::new());
         while let Some(some) = batch(path, &mut reader, BATCH)? {
             let places = some.x().zip(some.y()).zip(some.z());

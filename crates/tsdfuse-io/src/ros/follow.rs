@@ -178,15 +178,23 @@ impl Follow {
             let is_new = now > self.indexed.bytes || is_whole && !self.indexed.is_whole;
             if is_new && (is_whole || self.indexed.at.elapsed() >= self.indexed.took * SHARE) {
                 let begin = Instant::now();
-                self.recording = Recording::open(&self.path, &self.options)?;
+                let opened = Recording::open(&self.path, &self.options);
                 self.indexed = Indexed {
                     bytes: now,
                     at: Instant::now(),
                     took: begin.elapsed(),
                     is_whole,
                 };
-                self.is_over = is_whole;
-                return Ok(());
+                match opened {
+                    Ok(recording) => {
+                        self.recording = recording;
+                        self.is_over = is_whole;
+                        return Ok(());
+                    }
+                    // An index may be half written.
+                    Err(error) if is_whole => return Err(error),
+                    Err(_) => {}
+                }
             }
             if is_whole || grown.elapsed().as_secs() >= SILENCE_SECS {
                 self.is_over = true;

@@ -352,7 +352,7 @@ fn clouds_of_any_order_of_bytes_with_rows_and_gaps_are_the_same() {
     assert_eq!((big.len(), little.len()), (Some(5), Some(5)));
     for k in 0..5 {
         let [a, b] = [&big, &little].map(|log| log.read(k).unwrap());
-        assert_eq!(a.points.len(), 80);
+        assert_eq!(a.points.len(), 160);
         let bits = |scan: &Scan| {
             scan.points
                 .iter()
@@ -369,10 +369,10 @@ fn clouds_of_any_order_of_bytes_with_rows_and_gaps_are_the_same() {
         );
         // What measured nothing is still there.
         assert!(a.points[3].is_nan() && a.points[17] == Vec3::ZERO);
-        assert_eq!(a.intensities.unwrap()[79], 79.0);
+        assert_eq!(a.intensities.unwrap()[159], 159.0);
         // Rows are beams, the highest first.
         let rings = a.rings.unwrap();
-        assert_eq!((rings[0], rings[9], rings[10], rings[79]), (7, 7, 6, 0));
+        assert_eq!((rings[0], rings[19], rings[20], rings[159]), (7, 7, 6, 0));
     }
     assert!(
         conclusions(&big).contains("rows of the organized cloud"),

@@ -54,14 +54,14 @@ def write(name, messages):
 
 
 def grid(k, order):
-    """8 beams and 10 columns, row by row, the highest row first; x is 5 + k in column 0. Two points measure nothing."""
+    """8 beams and 20 columns, row by row, the highest row first; x is 5 + k in column 0. Two points measure nothing."""
     kinds = {"x": "f8", "y": "f8", "z": "f8", "intensity": "u2"}
-    array = np.zeros(80, dtype=[("gap", "V3")] + [(n, order + c) for n, c in kinds.items()] + [("end", "V5")])
-    row, column = np.divmod(np.arange(80), 10)
-    angle, elevation = 2 * np.pi * column / 10, np.radians(14 - 4 * row)
+    array = np.zeros(160, dtype=[("gap", "V3")] + [(n, order + c) for n, c in kinds.items()] + [("end", "V5")])
+    row, column = np.divmod(np.arange(160), 20)
+    angle, elevation = 2 * np.pi * column / 20, np.radians(14 - 4 * row)
     size = 5.0 + k
     array["x"], array["y"], array["z"] = size * np.cos(angle), size * np.sin(angle), size * np.tan(elevation)
-    array["intensity"] = np.arange(80)
+    array["intensity"] = np.arange(160)
     array["x"][3] = np.nan
     for name in "xyz":
         array[name][17] = 0.0
