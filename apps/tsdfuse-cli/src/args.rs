@@ -19,8 +19,8 @@ use crate::exit::Usage;
 /// The log and the settings.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct LogArgs {
-    /// The log to read; its format (PandaSet, KITTI, plain folder, RGB-D, PCAP, ...) is detected. udp://:PORT is a LiDAR that
-    /// sends packets now.
+    /// The log to read; its format (ROS bag, MCAP, PCAP, PandaSet, KITTI, nuScenes, plain folder, ...) is detected. udp://:PORT is a
+    /// LiDAR that sends packets now, - an MCAP file through standard input.
     #[arg(value_name = "LOG")]
     pub(crate) log: PathBuf,
     #[arg(long, value_name = "M",
@@ -34,23 +34,13 @@ pub(crate) struct LogArgs {
     /// Fuse only these scans, counted from 0, TO excluded; every STEP-th of them [default: all].
     #[arg(long, value_name = "FROM..TO[:STEP]")]
     pub(crate) scans: Option<Selection>,
-    /// Where poses come from: a file (KITTI or TUM text), a topic or frame of a ROS bag, the log, or odometry [default:
+    /// Where poses come from: a file (TUM, KITTI, CSV, g2o), a topic or frame of a ROS bag, the log, or odometry [default:
     /// the log, or odometry if it has none]. With refine (the log's) or refine:FILE, each scan is registered to what the
     /// others saw.
     #[arg(long, value_name = "FILE|NAME|log|track|refine")]
     pub(crate) poses: Option<PathBuf>,
-    /// Where the sensor sits on the body whose poses are used: a file with the 3x4 matrix, or x,y,z,qx,qy,qz,qw (metres, quaternion)
-    /// [default: as the log tells].
-    #[arg(long, value_name = "FILE|POSE", value_parser = parse_extrinsics, allow_hyphen_values = true)]
-    pub(crate) extrinsics: Option<Pose>,
-    /// The sensor: one of several in the log (several with commas are fused together), or the model of the only one
-    /// (pandar64, hdl64e, vlp16, ...).
-    #[arg(long, value_name = "NAME", value_delimiter = ',')]
-    pub(crate) sensor: Vec<String>,
-    /// The calibration of a LiDAR whose packets are read: Velodyne's XML or YAML, Hesai's CSV, Ouster's metadata [default: what
-    /// fits and lies beside the recording, or the model's nominal angles].
-    #[arg(long, value_name = "FILE")]
-    pub(crate) calibration: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) sensor: SensorArgs,
     #[arg(long, value_name = "M",
         help = format!("Drop returns nearer than this, metres [default: the log's, or {}]", RangeLimits::default().min_range_m))]
     pub(crate) min_range: Option<f64>,
@@ -73,9 +63,42 @@ pub(crate) struct LogArgs {
     /// Set one key of the configuration, for instance raycast.distance=projective.
     #[arg(long, value_name = "KEY=VALUE")]
     pub(crate) set: Vec<String>,
+    /// The recording is still being written: read its scans as they come, until it is closed or stands still for 10 s.
+    #[arg(long)]
+    pub(crate) follow: bool,
     /// Skip scans that cannot be used; they are listed, and the exit code is 3.
     #[arg(long)]
     pub(crate) skip_bad: bool,
+}
+
+/// Which sensors of a log are read, and what is known of them.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct SensorArgs {
+    /// Where the sensor sits on the body whose poses are used: a file with the 3x4 matrix, or x,y,z,qx,qy,qz,qw (metres, quaternion)
+    /// [default: as the log tells].
+    #[arg(long, value_name = "FILE|POSE", value_parser = parse_extrinsics, allow_hyphen_values = true)]
+    extrinsics: Option<Pose>,
+    /// The sensor: one of several in the log (several with commas are read together), or the model of the only one
+    /// (pandar64, hdl64e, vlp16, ...).
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    sensor: Vec<String>,
+    /// The calibration of a LiDAR whose packets are read: Velodyne's XML or YAML, Hesai's CSV, Ouster's metadata [default: what
+    /// fits and lies beside the recording, or the model's nominal angles].
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+}
+
+impl SensorArgs {
+    /// How the log is opened, with these poses.
+    pub(crate) fn options(&self, poses: Option<PathBuf>) -> OpenOptions {
+        OpenOptions {
+            poses,
+            sensors: self.sensor.clone(),
+            calibration: self.calibration.clone(),
+            extrinsics: self.extrinsics,
+            ..OpenOptions::default()
+        }
+    }
 }
 
 impl LogArgs {
@@ -104,10 +127,8 @@ impl LogArgs {
         Input {
             path: self.log.clone(),
             options: OpenOptions {
-                poses: self.poses.as_deref().and_then(pose_file),
-                sensors: self.sensor.clone(),
-                calibration: self.calibration.clone(),
-                extrinsics: self.extrinsics,
+                follow: self.follow,
+                ..self.sensor.options(self.poses.as_deref().and_then(pose_file))
             },
             selection: self.scans.clone().unwrap_or_default(),
             skip_bad: self.skip_bad,

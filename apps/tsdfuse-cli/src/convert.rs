@@ -6,10 +6,10 @@ use anyhow::{Context, Result};
 use clap::ValueEnum;
 use tsdfuse::Scan;
 use tsdfuse_io::plain::{self, Layout};
-use tsdfuse_io::{OpenOptions, ReadScan, Selection, Sensor, ros};
-use tsdfuse_run::{Input, check_outputs};
+use tsdfuse_io::{ReadScan, Selection, Sensor, ros};
+use tsdfuse_run::{Input, Settings, check_outputs};
 
-use crate::args::parse_extrinsics;
+use crate::args::SensorArgs;
 use crate::exit::{self, Outcome, Usage};
 use crate::progress::{self, note, say};
 use crate::terminal::Terminal;
@@ -38,15 +38,11 @@ pub(crate) struct Args {
     /// Only these scans, counted from 0, TO excluded; every STEP-th of them [default: all].
     #[arg(long, value_name = "FROM..TO[:STEP]")]
     scans: Option<Selection>,
-    /// The sensor, or several with commas for MCAP.
-    #[arg(long, value_name = "NAME", value_delimiter = ',')]
-    sensor: Vec<String>,
-    /// The poses: a file (KITTI or TUM text), or a topic or frame of a ROS bag [default: the log's].
+    /// The poses: a file (TUM, KITTI, CSV, g2o), or a topic or frame of a ROS bag [default: the log's].
     #[arg(long, value_name = "FILE|TOPIC|FRAME")]
     poses: Option<PathBuf>,
-    /// Where the sensor sits on the body whose poses are used: a file with the 3x4 matrix, or x,y,z,qx,qy,qz,qw (metres, quaternion).
-    #[arg(long, value_name = "FILE|POSE", value_parser = parse_extrinsics, allow_hyphen_values = true)]
-    extrinsics: Option<tsdfuse::Pose>,
+    #[command(flatten)]
+    sensor: SensorArgs,
     /// Skip scans that cannot be read; they are listed, and the exit code is 3.
     #[arg(long)]
     skip_bad: bool,
@@ -121,16 +117,11 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     check_outputs(&[&args.log], &[&args.output])?;
     let input = Input {
         path: args.log.clone(),
-        options: OpenOptions {
-            poses: args.poses.clone(),
-            sensors: args.sensor.clone(),
-            extrinsics: args.extrinsics,
-            ..OpenOptions::default()
-        },
+        options: args.sensor.options(args.poses.clone()),
         selection: args.scans.clone().unwrap_or_default(),
         skip_bad: args.skip_bad,
     };
-    let log = input.open_unplaced(&mut Terminal::default())?;
+    let log = input.open_unplaced(&Settings::default(), &mut Terminal::default())?;
     let mut writer = Writer::create(args, log.sensors())?;
     let undistorted = args.undistorted || matches!(args.format, Format::Kitti) && matches!(writer, Writer::Folder(_));
     let stop = exit::stop_on_interrupt()?;

@@ -7,7 +7,9 @@ mod rows;
 use std::path::PathBuf;
 
 use anyhow::Result;
+use tsdfuse_io::OpenOptions;
 
+use crate::args::SensorArgs;
 use crate::exit::Outcome;
 use crate::output::{print, print_json};
 use log::LogInfo;
@@ -29,12 +31,11 @@ pub(crate) struct Args {
     /// Read this many scans, spread evenly over the log.
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     sample: u32,
-    /// The sensor, or several with commas: a topic of a recording, or the model of the only one.
-    #[arg(long, value_name = "NAME", value_delimiter = ',')]
-    sensor: Vec<String>,
     /// The poses to look at: a file, or a topic or frame of a recording.
     #[arg(long, value_name = "FILE|TOPIC|FRAME")]
     poses: Option<PathBuf>,
+    #[command(flatten)]
+    sensor: SensorArgs,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -56,10 +57,9 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         }
         return Ok(Outcome::Complete);
     }
-    let options = tsdfuse_io::OpenOptions {
-        poses: args.poses.clone(),
-        sensors: args.sensor.clone(),
-        ..tsdfuse_io::OpenOptions::default()
+    let options = OpenOptions {
+        glance: true,
+        ..args.sensor.options(args.poses.clone())
     };
     let info = LogInfo::read(&args.path, &options, args.sample as usize)?;
     if args.json {

@@ -53,7 +53,7 @@ struct Tracks {
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     args.log.set_threads()?;
-    let input = args.log.input();
+    let (input, settings) = (args.log.input(), args.log.settings(None)?);
     let outputs: Vec<_> = [Some(&args.output), args.save_graph.as_ref()]
         .into_iter()
         .flatten()
@@ -63,11 +63,11 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let refines = args.log.poses_from() == PosesFrom::Refine;
     let mut terminal = Terminal::default();
     let log = if refines {
-        input.open(&mut terminal)?
+        input.open(&settings, &mut terminal)?
     } else {
-        input.open_unplaced(&mut terminal)?
+        input.open_unplaced(&settings, &mut terminal)?
     };
-    let config: RunConfig = args.log.settings(None)?.resolve(&log)?;
+    let config: RunConfig = settings.resolve(&log)?;
     let stop = exit::stop_on_interrupt()?;
     let start = Instant::now();
     let RunConfig { odometry, range, .. } = config;

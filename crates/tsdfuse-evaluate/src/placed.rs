@@ -25,7 +25,10 @@ pub(crate) fn logs(contest: &Contest, folder: &Path, watch: &mut Watch<'_>) -> R
     for kind in ScanPoses::ALL {
         if contest.forms.iter().any(|form| form.poses == kind) {
             let (input, log) = match kind {
-                ScanPoses::Given => (contest.input.clone(), contest.input.open(&mut Runs(watch))?),
+                ScanPoses::Given => (
+                    contest.input.clone(),
+                    contest.input.open(&contest.settings, &mut Runs(watch))?,
+                ),
                 ScanPoses::Refine | ScanPoses::Track => found(kind, contest, folder, watch)?,
             };
             let poses = kind;
@@ -43,8 +46,8 @@ fn found(kind: ScanPoses, contest: &Contest, folder: &Path, watch: &mut Watch<'_
     }));
     let mut observer = Runs(watch);
     let log = match kind {
-        ScanPoses::Track => contest.input.open_unplaced(&mut observer)?,
-        ScanPoses::Given | ScanPoses::Refine => contest.input.open(&mut observer)?,
+        ScanPoses::Track => contest.input.open_unplaced(&contest.settings, &mut observer)?,
+        ScanPoses::Given | ScanPoses::Refine => contest.input.open(&contest.settings, &mut observer)?,
     };
     let config = contest.settings.resolve(&log)?;
     // As `fuse` does by default.
@@ -74,7 +77,7 @@ fn found(kind: ScanPoses, contest: &Contest, folder: &Path, watch: &mut Watch<'_
     let mut input = contest.input.clone();
     input.options.poses = Some(path);
     let log = input
-        .open(&mut |_: Event<'_>| {})
+        .open(&contest.settings, &mut |_: Event<'_>| {})
         .map_err(|error| Error::failed(format_args!("the poses that were found do not fit the log: {error}")))?;
     Ok((input, log))
 }

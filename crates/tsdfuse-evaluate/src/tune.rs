@@ -65,7 +65,7 @@ impl Tuning {
     pub fn run(&self, watch: &mut Watch<'_>) -> Result<Tuned> {
         let contest = &self.contest;
         contest.check()?;
-        let log = contest.input.open(&mut Runs(watch))?;
+        let log = contest.input.open(&contest.settings, &mut Runs(watch))?;
         let scans = reference::length(&log)?;
         let selection = held_out::selection(&contest.input.selection, contest.hold_out, HOLD_OUT, scans)?;
         let Some(hold_out) = selection.hold_out else {

@@ -8,6 +8,7 @@
 //! capture began or ended within it.
 
 mod datagrams;
+mod parts;
 mod records;
 
 use std::net::IpAddr;
@@ -24,19 +25,16 @@ use crate::placed;
 use crate::poses::{self, Poses};
 use crate::source::{ImuSample, OpenOptions, ScanRef, Sensor, Source};
 pub(crate) use datagrams::{Datagram, Datagrams, Flow};
-pub(crate) use records::{Layout, Records, is_capture};
+pub(crate) use records::{Layout, Records};
 
 /// More sensors than any capture has.
 const MAX_SENSORS: usize = 64;
 /// Clocks that differ by less are taken to be set alike, seconds.
 const SAME_CLOCK_SECS: f64 = 1.0;
 
-/// Whether a file begins as a capture does.
+/// Whether it is a capture, or a folder with the files of one.
 pub(crate) fn recognises(path: &Path) -> bool {
-    use std::io::Read;
-    let mut head = [0; 4];
-    let read = path.is_file().then(|| std::fs::File::open(path)?.read_exact(&mut head));
-    read.is_some_and(|read: std::io::Result<()>| read.is_ok()) && is_capture(head)
+    !parts::paths(path).is_empty()
 }
 
 /// A sensor that sends packets.

@@ -1,4 +1,4 @@
-//! A folder of point clouds, one `.pcd`, `.ply` or `.bin` a scan.
+//! A folder of point clouds, one `.pcd`, `.ply`, `.bin`, `.las` or `.laz` a scan.
 //!
 //! The clouds lie in the folder itself or in one folder within it. Poses lie beside the clouds or a folder above; without
 //! a pose file, the `VIEWPOINT` of PCD files is the scan's pose. See [`folder`] for optional side files.
@@ -14,10 +14,12 @@ use crate::pcd;
 use crate::poses::{self, Poses};
 use crate::source::OpenOptions;
 
-const FORMATS: [(&str, &str); 3] = [
+const FORMATS: [(&str, &str); 5] = [
     ("pcd", "PCD folder"),
     ("ply", "PLY folder"),
     ("bin", "KITTI point files"),
+    ("las", "LAS folder"),
+    ("laz", "LAZ folder"),
 ];
 
 /// Whether there are clouds in the folder, or in one within it.

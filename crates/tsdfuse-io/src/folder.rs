@@ -8,7 +8,8 @@
 //! - `motion.txt`: for each scan a line with further poses of the sensor, so that the poses of single returns are known:
 //!   the seconds from the scan's pose to such a pose and its 12 numbers as in `poses.txt`, once or several times, or `-` for none,
 //! - `sensor.toml`: the sensor's model, and optionally `body_from_sensor`, the 12 numbers of where it sits on a body (vehicle,
-//!   robot); then `poses.txt` and `motion.txt` are `world_from_body`,
+//!   robot); then `poses.txt` and `motion.txt` are `world_from_body`; and `elevation_correction_deg`, by which each return is to be
+//!   turned up,
 //! - `imu.csv`: what an inertial measurement unit measured, in the sensor frame: after the header `t,gx,gy,gz,ax,ay,az`, seconds
 //!   on the clock of `times.txt`, rad/s and m/s².
 //!
@@ -29,7 +30,7 @@ use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::poses::{self, Poses};
 use crate::source::{ImuSample, OpenOptions, ScanRef, Sensor, Source};
-use crate::{bin, pcd, placed, ply, present, times};
+use crate::{bin, las, pcd, placed, ply, present, times};
 
 mod beside;
 mod imu;
@@ -40,15 +41,21 @@ pub(crate) use imu::parse as parse_imu;
 
 pub use crate::placed::MAX_STEP_SECS;
 
+/// What reads a file of points.
+type Reader = fn(&Path, &[u8]) -> Result<Cloud>;
+
 /// Scans of one file each, of one sensor.
 pub(crate) struct ScanFolder {
     format: &'static str,
     scans: Vec<ScanRef>,
     entries: Vec<Entry>,
+    reader: Reader,
     /// `world_from_body`.
     trajectory: Option<Trajectory>,
     imu: Imu,
     sensors: [Sensor; 1],
+    /// Whether `sensor.toml` says how far elevations are off.
+    tells_elevations: bool,
     notes: Vec<String>,
 }
 
@@ -77,7 +84,7 @@ impl ScanFolder {
         pose_file: Option<PoseFile>,
         options: &OpenOptions,
     ) -> Result<Self> {
-        let sensor = sensor(root, options)?;
+        let (sensor, tells_elevations) = sensor(root, options)?;
         // The identity changes no pose; not multiplying keeps its bits, too.
         let on_body = Some(sensor.body_from_sensor).filter(|pose| *pose != Pose::IDENTITY);
         let of_sensor = |body: Pose| on_body.map_or(body, |body_from_sensor| body * body_from_sensor);
@@ -135,6 +142,7 @@ impl ScanFolder {
         let mut folder = Self {
             format,
             entries: entries.collect::<Result<_>>()?,
+            reader: parse_cloud,
             scans,
             trajectory,
             imu: if present::file(&imu)? {
@@ -143,20 +151,26 @@ impl ScanFolder {
                 Imu::Known(Vec::new())
             },
             sensors: [sensor],
+            tells_elevations,
             notes,
         };
         folder.note_gaps();
         Ok(folder)
     }
 
-    /// The model for logs that come from one kind of sensor only.
-    pub(crate) fn with_usual_sensor(mut self, name: &str) -> Self {
+    /// The model for logs that come from one kind of sensor only, and the known error of these sensors' elevations, unless
+    /// `sensor.toml` tells it.
+    pub(crate) fn with_usual_sensor(mut self, name: &str, elevation_correction_deg: f64) -> Self {
         let [sensor] = &mut self.sensors;
         if sensor.model.is_none() {
             *sensor = Sensor {
                 body_from_sensor: sensor.body_from_sensor,
+                elevation_correction_deg: sensor.elevation_correction_deg,
                 ..of_model(tsdfuse::sensor::model(name))
             };
+        }
+        if !self.tells_elevations && sensor.name == name {
+            sensor.elevation_correction_deg = elevation_correction_deg;
         }
         self
     }
@@ -176,6 +190,27 @@ impl ScanFolder {
     /// Adds a sentence for the user.
     pub(crate) fn note(&mut self, sentence: String) {
         self.notes.push(sentence);
+    }
+
+    /// Scans whose files are read by a function of the format.
+    pub(crate) fn with_reader(mut self, reader: Reader) -> Self {
+        self.reader = reader;
+        self
+    }
+
+    /// The name of the sensor.
+    pub(crate) fn called(mut self, name: &str) -> Self {
+        let [sensor] = &mut self.sensors;
+        name.clone_into(&mut sensor.name);
+        self
+    }
+
+    /// Tells how many scans were left out by [`covered`].
+    pub(crate) fn without(mut self, scans: usize) -> Self {
+        if scans > 0 {
+            self.note(format!("{scans} scans at times without a pose are left out"));
+        }
+        self
     }
 
     fn note_gaps(&mut self) {
@@ -214,6 +249,34 @@ impl ScanFolder {
             &sensor.body_from_sensor,
         )
     }
+}
+
+/// The scans at whose times there is a pose, and how many others there are. Data sets have truth for a part of their scans.
+pub(crate) fn covered(
+    root: &Path,
+    mut scans: Vec<ScanFile>,
+    poses: Option<&PoseFile>,
+) -> Result<(Vec<ScanFile>, usize)> {
+    let all = scans.len();
+    if let Some(PoseFile {
+        poses: Poses::Timed(trajectory),
+        path,
+        ..
+    }) = poses
+        && let Some(times_ns) = times::of_scans(root, &scans)?
+    {
+        let mut times_ns = times_ns.into_iter();
+        scans.retain(|_| {
+            times_ns
+                .next()
+                .is_some_and(|time_ns| poses::at(trajectory, time_ns).is_ok())
+        });
+        if scans.is_empty() {
+            return Err(Error::dataset(path, "has no pose at the time of any scan"));
+        }
+    }
+    let left_out = all - scans.len();
+    Ok((scans, left_out))
 }
 
 /// Checks that times ascend.
@@ -255,7 +318,7 @@ impl Source for ScanFolder {
             secs,
             intensities,
             ..
-        } = read_cloud(&entry.points)?;
+        } = (self.reader)(&entry.points, &files::read(&entry.points)?)?;
         if let Some(path) = &entry.rings {
             let column = bin::column(path, &files::read(path)?, points.len(), u16::from_le_bytes);
             rings = Some(column?);
@@ -306,9 +369,8 @@ impl Source for ScanFolder {
     }
 }
 
-/// Reads a file of points; its extension says how.
-pub(crate) fn read_cloud(path: &Path) -> Result<Cloud> {
-    let bytes = files::read(path)?;
+/// Parses a file of points; its extension says how.
+fn parse_cloud(path: &Path, bytes: &[u8]) -> Result<Cloud> {
     match path
         .extension()
         .and_then(|e| e.to_str())
@@ -316,9 +378,10 @@ pub(crate) fn read_cloud(path: &Path) -> Result<Cloud> {
         .to_ascii_lowercase()
         .as_str()
     {
-        "bin" => bin::parse(path, &bytes),
-        "pcd" => pcd::parse(path, &bytes),
-        "ply" => ply::parse_cloud(path, &bytes),
+        "bin" => bin::parse(path, bytes),
+        "pcd" => pcd::parse(path, bytes),
+        "ply" => ply::parse_cloud(path, bytes),
+        "las" | "laz" => las::parse(path, bytes),
         other => Err(Error::format(path, format!("is no file of points: .{other}"))),
     }
 }

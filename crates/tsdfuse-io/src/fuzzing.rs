@@ -7,7 +7,11 @@ use crate::pandaset::{cameras, frames};
 use crate::pickle::DataFrame;
 use crate::rgbd::image::{self, ImageSize};
 use crate::rgbd::{camera, seven_scenes, tum};
-use crate::{bin, calib, cloud, files, folder, g2o, glb, kitti_raw, map_file, obj, pcd, ply, poses, ros, times};
+use crate::scalar::Scalar;
+use crate::{
+    bin, calib, cloud, feather, files, folder, g2o, glb, kitti_raw, kitti360, map_file, nclt, nuscenes, obj, pcd, ply,
+    poses, records, ros, times,
+};
 
 const PATH: &str = "input";
 
@@ -134,7 +138,7 @@ pub fn bin(bytes: &[u8]) {
     let _ = bin::parse(Path::new(PATH), bytes);
 }
 
-/// Poses, KITTI or TUM.
+/// Poses of any kind of file.
 pub fn poses(bytes: &[u8]) {
     let _ = poses::parse(Path::new(PATH), bytes);
 }
@@ -147,6 +151,48 @@ pub fn g2o(bytes: &[u8]) {
 /// The times of scans.
 pub fn times(bytes: &[u8]) {
     let _ = times::parse(Path::new(PATH), bytes);
+}
+
+/// The tables and records of data sets.
+pub fn datasets(bytes: &[u8]) {
+    let path = Path::new(PATH);
+    nuscenes::parse_tables(bytes);
+    let _ = nclt::parse(path, bytes);
+    let _ = nclt::parse_poses(path, bytes);
+    let _ = kitti360::parse(path, bytes);
+    let _ = records::parse(
+        path,
+        bytes,
+        &[
+            ("x", Scalar::F32),
+            ("y", Scalar::F32),
+            ("z", Scalar::F32),
+            ("t", Scalar::U32),
+        ],
+    );
+}
+
+/// LAS and E57, where they are built in.
+pub fn surveys(bytes: &[u8]) {
+    let path = Path::new(PATH);
+    let _ = crate::las::parse(path, bytes);
+    #[cfg(feature = "e57")]
+    let _ = crate::e57::parse(path, bytes);
+    let _ = (path, bytes);
+}
+
+/// A table of Arrow, as it is and between the marks of a file.
+pub fn feather(bytes: &[u8]) {
+    let names = ["x", "n", "s"];
+    let _ = feather::parse(Path::new(PATH), bytes, &names);
+    let file = [
+        &b"ARROW1\0\0"[..],
+        bytes,
+        &(bytes.len() as u32).to_le_bytes(),
+        b"ARROW1",
+    ]
+    .concat();
+    let _ = feather::parse(Path::new(PATH), &file, &names);
 }
 
 /// KITTI's calibrations and GPS packets.
@@ -311,6 +357,18 @@ mod tests {
                 bytes[at] = value;
             }
             if which < 2 { mcap(&bytes) } else { bag1(&bytes) }
+        }
+
+        #[test]
+        fn any_records_and_any_poses_are_bearable(
+            bytes in prop::collection::vec(any::<u8>(), 0..300),
+            text in "(VERTEX_SE3:QUAT|VERTEX_SE2|[txyz]|q[xyzw]|[,; \n#.0-9-]){0,60}",
+        ) {
+            datasets(&bytes);
+            feather(&bytes);
+            datasets(text.as_bytes());
+            poses(text.as_bytes());
+            poses(&[b"t,x,y,z,qx,qy,qz,qw\n", text.as_bytes()].concat());
         }
 
         #[test]

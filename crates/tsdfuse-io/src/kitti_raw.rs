@@ -20,7 +20,7 @@ use crate::files::{self, ScanFile};
 use crate::folder::{self, PoseFile, ScanFolder};
 use crate::poses::Poses;
 use crate::source::{ImuSample, OpenOptions};
-use crate::{calib, present, text, times};
+use crate::{calib, elevation, present, text, times};
 
 /// Equatorial radius of the Earth, metres.
 const EARTH_RADIUS_M: f64 = 6_378_137.0;
@@ -35,7 +35,10 @@ pub(crate) fn recognises(path: &Path) -> bool {
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
     let velodyne = path.join("velodyne_points");
     let scans = files::list(&velodyne.join("data"), "bin")?;
-    let new = |poses| Ok(ScanFolder::new("KITTI raw", &velodyne, &scans, poses, options)?.with_usual_sensor("hdl64e"));
+    let new = |poses| {
+        Ok(ScanFolder::new("KITTI raw", &velodyne, &scans, poses, options)?
+            .with_usual_sensor("hdl64e", elevation::KITTI_HDL64E_DEG))
+    };
     let packets = path.join("oxts/data");
     if options.poses.is_some() || !present::folder(&packets)? {
         return new(folder::poses(path, options, Path::new(""))?);
@@ -62,7 +65,8 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
         extrinsics: Some(Pose::IDENTITY),
         ..options.clone()
     };
-    let log = ScanFolder::new("KITTI raw", &velodyne, &scans, Some(poses), &of_scanner)?.with_usual_sensor("hdl64e");
+    let log = ScanFolder::new("KITTI raw", &velodyne, &scans, Some(poses), &of_scanner)?
+        .with_usual_sensor("hdl64e", elevation::KITTI_HDL64E_DEG);
     Ok(log.with_body(packets.trajectory()?, imu_from_velodyne, packets.imu()))
 }
 

@@ -5,6 +5,8 @@ use std::sync::{Arc, PoisonError};
 
 use tsdfuse::{Scan, Trajectory};
 
+use crate::corrected::{self, Corrected};
+use crate::elevation;
 use crate::error::{Error, Result};
 use crate::pandaset::PandaSet;
 use crate::read_ahead::{Live, ReadAhead, Scans};
@@ -28,6 +30,34 @@ const FORMATS: &[Format] = &[
         open: |path, options| PandaSet::open(path, options).map(Log::new),
     },
     Format {
+        recognises: crate::nuscenes::recognises,
+        open: |path, options| crate::nuscenes::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::argoverse::recognises,
+        open: |path, options| crate::argoverse::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::kitti360::recognises,
+        open: |path, options| crate::kitti360::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::helipr::recognises,
+        open: |path, options| crate::helipr::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::mulran::recognises,
+        open: |path, options| crate::mulran::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::nclt::recognises,
+        open: |path, options| crate::nclt::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::newer_college::recognises,
+        open: |path, options| crate::newer_college::open(path, options).map(Log::new),
+    },
+    Format {
         recognises: crate::kitti_raw::recognises,
         open: |path, options| crate::kitti_raw::open(path, options).map(Log::new),
     },
@@ -38,10 +68,6 @@ const FORMATS: &[Format] = &[
     Format {
         recognises: crate::plain::recognises,
         open: |path, options| crate::plain::open(path, options).map(Log::new),
-    },
-    Format {
-        recognises: crate::capture::recognises,
-        open: |path, options| crate::capture::open(path, options).map(Log::new),
     },
     Format {
         recognises: crate::osf::recognises,
@@ -56,12 +82,25 @@ const FORMATS: &[Format] = &[
         open: |path, options| crate::rgbd::open(path, options).map(Log::new),
     },
     Format {
+        recognises: crate::las::recognises,
+        open: |path, options| crate::las::open(path, options).map(Log::new),
+    },
+    Format {
+        recognises: crate::e57::recognises,
+        open: |path, options| crate::e57::open(path, options).map(Log::new),
+    },
+    Format {
         recognises: crate::clouds::recognises,
         open: |path, options| crate::clouds::open(path, options).map(Log::new),
     },
+    Format {
+        recognises: crate::capture::recognises,
+        open: |path, options| crate::capture::open(path, options).map(Log::new),
+    },
 ];
 
-/// Opens the log at `path`; its format is recognised from what lies there. `udp://HOST:PORT` is a LiDAR that sends packets now.
+/// Opens the log at `path`; its format is recognised from what lies there. `udp://HOST:PORT` is a LiDAR that sends packets
+/// now, and `-` an MCAP file or a bag that comes through standard input.
 ///
 /// # Errors
 /// One line that names the folder, and the file and line where one is wrong.
@@ -84,19 +123,31 @@ pub fn open(path: impl AsRef<Path>) -> Result<Log> {
 pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
     let path = path.as_ref();
     if let Some(address) = crate::udp::address(path) {
-        return crate::udp::Udp::open(address, options).map(Log::of_stream);
+        return crate::udp::Udp::open(address, options)
+            .map(Log::of_stream)?
+            .corrected(options);
     }
-    let is_folder = std::fs::metadata(path).map_err(Error::io(path))?.is_dir();
+    if path.as_os_str() == "-" {
+        return crate::ros::Follow::stdin(options)
+            .map(Log::of_stream)?
+            .corrected(options);
+    }
+    if options.follow {
+        return crate::ros::Follow::open(path, options)
+            .map(Log::of_stream)?
+            .corrected(options);
+    }
     match FORMATS.iter().find(|format| (format.recognises)(path)) {
-        Some(format) => (format.open)(path, options),
-        None if !is_folder => Err(Error::dataset(
+        Some(format) => (format.open)(path, options)?.corrected(options),
+        None if !std::fs::metadata(path).map_err(Error::io(path))?.is_dir() => Err(Error::dataset(
             path,
-            "is no ROS bag, no MCAP file, no capture of a LiDAR's packets (PCAP, pcapng) and no OSF; other data sets are folders",
+            "is no ROS bag, no MCAP file, no capture of a LiDAR's packets (PCAP, pcapng), no OSF, no LAS and no E57; other data sets are folders",
         )),
         None => Err(Error::dataset(
             path,
             "holds no scans that are read here: no lidar/*.pkl.gz (PandaSet), velodyne/*.bin (KITTI, plain), \
-             velodyne_points/ (KITTI raw), *.depth.png (7-Scenes), depth/*.png (TUM RGB-D), *.bag, *.mcap, *.db3, *.pcd or *.ply",
+             velodyne_points/ (KITTI raw, KITTI-360), v1.0-*/ (nuScenes), sensors/lidar/*.feather (Argoverse 2), LiDAR/ (HeLiPR), \
+             Ouster/ (MulRan), velodyne_sync/ (NCLT), *.depth.png (7-Scenes), depth/*.png (TUM RGB-D), *.bag, *.mcap, *.db3, *.pcd or *.ply",
         )),
     }
 }
@@ -145,6 +196,33 @@ impl Log {
             )),
         });
         Ok(Self::new(Together::new(sources.collect::<Result<_>>()?)?))
+    }
+
+    /// With the correction of elevations that is asked for.
+    fn corrected(self, options: &OpenOptions) -> Result<Self> {
+        let Some(degrees) = options.elevation_correction_deg else {
+            return Ok(self);
+        };
+        if !elevation::is_possible(degrees) {
+            let reason = format!(
+                "elevations cannot be corrected by {degrees}°: at most {}° are possible",
+                elevation::MAX_DEG
+            );
+            return Err(Error::dataset(self.format(), reason));
+        }
+        if degrees != 0.0 && self.sensors().iter().any(|sensor| sensor.camera.is_some()) {
+            let reason = "elevations of depth images cannot be corrected: their points lie on the rays of pixels";
+            return Err(Error::dataset(self.format(), reason));
+        }
+        Ok(match self.0 {
+            Input::Source(source) => Self::new(Corrected::new(source, degrees)),
+            Input::Stream(mut live) => {
+                if let Some(live) = Arc::get_mut(&mut live) {
+                    corrected::set(&mut live.sensors, degrees);
+                }
+                Self(Input::Stream(live))
+            }
+        })
     }
 
     fn source(&self) -> Option<&dyn Source> {
@@ -315,5 +393,7 @@ impl std::fmt::Debug for Log {
     }
 }
 
+#[cfg(test)]
+mod datasets;
 #[cfg(test)]
 mod tests;

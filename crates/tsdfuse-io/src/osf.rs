@@ -4,7 +4,6 @@
 //! times and poses; a scan is decoded when it is read, from its chunk. If its columns have poses that are not all the identity (as
 //! the SDK's SLAM writes them), they are used: those of the first and the last column.
 
-mod flatbuffer;
 mod image;
 
 use std::fs::File;
@@ -19,9 +18,9 @@ use tsdfuse_packets::ouster::{Beams, Metadata};
 
 use crate::error::{Error, Result};
 use crate::files::ScanFile;
+use crate::flatbuffer::Table;
 use crate::poses;
 use crate::source::{OpenOptions, ScanRef, Sensor, Source};
-use flatbuffer::Table;
 
 /// More sensors than any file has.
 const MAX_SENSORS: usize = 64;

@@ -1,16 +1,16 @@
 //! Pose files, and which pose belongs to which scan.
 //!
-//! Two kinds of file are read, told apart by the numbers in a line: **KITTI** (12 numbers, the row-major 3×4 matrix
-//! `[R | t]`) and **TUM** (8 numbers, `secs x y z qx qy qz qw`; also with ms, µs or ns since
-//! 1970). Blank lines and lines that start with `#` are skipped.
+//! Files are told apart by their content: **KITTI** (lines of 12 numbers, the row-major 3×4 matrix `[R | t]`), the same with a time
+//! in front (13 numbers), **TUM** (8 numbers, `secs x y z qx qy qz qw`; also with ms, µs or ns since 1970), a [table](table) whose
+//! first line names its columns, and pose graphs of [g2o]. Blank lines and lines that start with `#` are skipped.
 //!
 //! Which pose belongs to which scan:
 //!
-//! - KITTI poses go **by order**: as many poses as scans, the first for the first scan. Where there are more poses than
+//! - Poses without times go **by order**: as many poses as scans, the first for the first scan. Where there are more poses than
 //!   scans and every scan is named by a number (`000012.bin`), they go **by number**: the 13th pose for scan 12.
-//! - TUM poses go **by time**: a scan's time is in `times.txt` or `timestamps.txt`, or in its name (`12.345.pcd`,
+//! - Poses with times go **by time**: a scan's time is in `times.txt` or `timestamps.txt`, or in its name (`12.345.pcd`,
 //!   `1583836591_182590976.pcd`, or an integer since 1970 in s, ms, µs or ns). Its pose is interpolated between the poses
-//!   before and after, which may be [`MAX_GAP_SECS`] apart. Scans without times take TUM poses by order, if there are
+//!   before and after, which may be [`MAX_GAP_SECS`] apart. Scans without times take them by order, if there are
 //!   as many of them as scans.
 
 use std::path::{Path, PathBuf};
@@ -24,6 +24,8 @@ use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::text::{self, Line};
 
+mod g2o;
+mod table;
 mod write;
 
 pub use write::{write, write_to};
@@ -92,14 +94,20 @@ pub fn read_all(path: impl AsRef<Path>) -> Result<Vec<Pose>> {
 /// # Errors
 /// Names the file, the line and the reason.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Poses> {
+    if let Some(header) = table::Header::find(bytes) {
+        return header.parse(path, bytes);
+    }
+    if g2o::recognises(bytes) {
+        return g2o::parse(path, bytes);
+    }
     let mut listed = Vec::new();
     let mut timed: Vec<(i64, Pose)> = Vec::new();
     for line in text::lines(path, bytes)? {
         let numbers = line.numbers()?;
         match numbers.len() {
             12 if timed.is_empty() => listed.push(matrix(&line, &numbers)?),
-            8 if listed.is_empty() => {
-                let (time_ns, pose) = tum(&line, &numbers)?;
+            8 | 13 if listed.is_empty() => {
+                let (time_ns, pose) = timed_pose(&line, &numbers)?;
                 if timed.last().is_some_and(|&(last, _)| last >= time_ns) {
                     let secs = secs_between(0, time_ns);
                     return Err(line.error(format!("the time {secs} is not later than that of the pose before")));
@@ -108,7 +116,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Poses> {
             }
             n => {
                 let wanted = match (listed.len(), timed.len()) {
-                    (0, 0) => "12 (KITTI) or 8 (TUM)",
+                    (0, 0) => "12 (KITTI), 13 (with a time in front) or 8 (TUM)",
                     (_, 0) => "12, as in the lines before",
                     _ => "8, as in the lines before",
                 };
@@ -150,9 +158,15 @@ pub(crate) fn matrix(line: &Line, numbers: &[f64]) -> Result<Pose> {
     Pose::from_row_major_3x4(numbers).map_err(|e| line.error(e))
 }
 
-fn tum(line: &Line, numbers: &[f64]) -> Result<(i64, Pose)> {
-    let &[secs, x, y, z, qx, qy, qz, qw] = numbers else {
-        return Err(line.error("a TUM pose has 8 numbers"));
+/// A time, and after it a position and a quaternion or the 12 numbers of a matrix.
+fn timed_pose(line: &Line, numbers: &[f64]) -> Result<(i64, Pose)> {
+    let (secs, pose) = match numbers {
+        &[secs, x, y, z, qx, qy, qz, qw] => {
+            let pose = Pose::new(DQuat::from_xyzw(qx, qy, qz, qw), DVec3::new(x, y, z));
+            (secs, pose.map_err(|e| line.error(e))?)
+        }
+        [secs, numbers @ ..] => (*secs, matrix(line, numbers)?),
+        [] => return Err(line.error("a pose has 8 or 13 numbers")),
     };
     if !secs.is_finite() {
         return Err(line.error("the time is not finite"));
@@ -160,15 +174,14 @@ fn tum(line: &Line, numbers: &[f64]) -> Result<(i64, Pose)> {
     // From the text itself, which has more digits than a number of seconds since 1970.
     let time_ns = line.words().next().and_then(text::nanoseconds);
     let time_ns = time_ns.ok_or_else(|| line.error(format!("the time {secs} is too large")))?;
-    let pose = Pose::new(DQuat::from_xyzw(qx, qy, qz, qw), DVec3::new(x, y, z));
-    Ok((time_ns, pose.map_err(|e| line.error(e))?))
+    Ok((time_ns, pose))
 }
 
 /// The pose file of a data set: `poses.txt`, `poses.tum`, another `*.tum`, `*poses*.txt`, `traj*.txt`, `groundtruth*.txt`,
-/// or the name of a sequence, `00.txt`; the first kind of which there is one.
+/// the name of a sequence, `00.txt`, one of these as `.csv`, or `*.g2o`; the first kind of which there is one.
 pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>> {
     type Kind = fn(&str) -> bool;
-    let kinds: [Kind; 7] = [
+    let kinds: [Kind; 9] = [
         |n| n == "poses.txt",
         |n| n == "poses.tum",
         |n| n.ends_with(".tum"),
@@ -179,6 +192,13 @@ pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>> {
             n.strip_suffix(".txt")
                 .is_some_and(|n| n.len() == 2 && n.bytes().all(|b| b.is_ascii_digit()))
         },
+        |n| {
+            n.ends_with(".csv")
+                && ["pose", "traj", "groundtruth", "ground_truth"]
+                    .iter()
+                    .any(|word| n.contains(word))
+        },
+        |n| n.ends_with(".g2o"),
     ];
     let names = files::names(folder)?;
     for kind in kinds {

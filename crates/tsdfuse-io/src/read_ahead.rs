@@ -81,7 +81,7 @@ impl ReadAhead {
 
     pub(crate) fn of_stream(live: &Live, selection: Selection) -> Self {
         match live.take() {
-            Some(stream) => match Pipe::new(live.format.clone(), stream, selection) {
+            Some(stream) => match Pipe::new(live, stream, selection) {
                 Ok(pipe) => Self(Way::Stream(pipe)),
                 Err(e) => Self(Way::Refused(vec![0].into_iter(), [live.format.clone(), e.to_string()])),
             },
@@ -238,7 +238,8 @@ struct Pipe {
 }
 
 impl Pipe {
-    fn new(format: String, mut stream: Box<dyn Stream>, selection: Selection) -> std::io::Result<Self> {
+    fn new(live: &Live, mut stream: Box<dyn Stream>, selection: Selection) -> std::io::Result<Self> {
+        let sensors = live.sensors.clone();
         // One waits in the channel, one to get into it.
         let (sender, scans) = sync_channel(1);
         let run = move || {
@@ -249,7 +250,7 @@ impl Pipe {
                 };
                 let scan = scan.and_then(|scan| {
                     let name = scan.name.clone();
-                    checked(scan, &name)
+                    checked(scan, &name, sensors.get(sensor))
                 });
                 let read_secs = start.elapsed().as_secs_f64();
                 let read = ReadScan {
@@ -265,7 +266,7 @@ impl Pipe {
         };
         let thread = Builder::new().name("read-stream".to_owned()).spawn(run)?;
         Ok(Self {
-            format,
+            format: live.format.clone(),
             scans,
             thread: Some(thread),
             next: 0,

@@ -11,13 +11,14 @@ pub use tsdfuse::ImuSample;
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Pose, Scan, SensorModel, Trajectory};
 
+use crate::elevation;
 use crate::error::{Error, Result};
 
 /// How to open a log; the default asks for nothing in particular.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct OpenOptions {
-    /// Poses to use instead of those in the log: a file (TUM or KITTI text), or in recordings of messages the topic or the frame
+    /// Poses to use instead of those in the log: a file (TUM, KITTI, a table with a header, g2o), or in recordings of messages the topic or the frame
     /// whose poses are used.
     pub poses: Option<PathBuf>,
     /// Which sensors of the log to read, by name; empty: the format's default, usually all or the main one. Where a log has one
@@ -29,6 +30,13 @@ pub struct OpenOptions {
     /// The calibration of the sensor whose packets are read (Velodyne's XML or YAML, Hesai's CSV, Ouster's metadata); without it,
     /// one is looked for beside the recording.
     pub calibration: Option<PathBuf>,
+    /// Whether a recording is still being written: its scans are then read once, as they come.
+    pub follow: bool,
+    /// Of a large recording of messages, read only the index and some parts: enough to describe it, not to fuse it, as stamps and poses
+    /// are then estimates.
+    pub glance: bool,
+    /// Replaces what the log says of [`Sensor::elevation_correction_deg`].
+    pub elevation_correction_deg: Option<f64>,
 }
 
 /// A sensor of a log.
@@ -45,6 +53,9 @@ pub struct Sensor {
     pub min_range_m: Option<f32>,
     /// Where the sensor sits on the body whose poses the log's trajectory has; the identity if those are the sensor's own.
     pub body_from_sensor: Pose,
+    /// Each return is turned up by this angle, degrees, about the horizontal axis across its azimuth: a known error of the sensor's
+    /// elevations, taken back. It is done to what [`Source::read`] and [`Stream::next`] hand out.
+    pub elevation_correction_deg: f64,
 }
 
 impl Sensor {
@@ -56,6 +67,7 @@ impl Sensor {
             camera: None,
             min_range_m: None,
             body_from_sensor: Pose::IDENTITY,
+            elevation_correction_deg: 0.0,
         }
     }
 }
@@ -251,11 +263,19 @@ pub(crate) fn read_checked(source: &dyn Source, index: usize) -> Result<Scan> {
         let reason = format!("no scan {index}: there are {} scans", scans.len());
         Error::dataset(source.format(), reason)
     })?;
-    checked(source.read(index)?, &reference.name)
+    checked(
+        source.read(index)?,
+        &reference.name,
+        source.sensors().get(reference.sensor),
+    )
 }
 
-/// The scan, if its columns fit together.
-pub(crate) fn checked(scan: Scan, name: &str) -> Result<Scan> {
+/// The scan, if its columns fit together, with its sensor's known error taken back.
+pub(crate) fn checked(mut scan: Scan, name: &str, sensor: Option<&Sensor>) -> Result<Scan> {
     scan.check().map_err(|e| Error::dataset(name, e.to_string()))?;
+    let degrees = sensor.map_or(0.0, |sensor| sensor.elevation_correction_deg);
+    if degrees != 0.0 {
+        elevation::turn_up(&mut scan.points, degrees);
+    }
     Ok(scan)
 }

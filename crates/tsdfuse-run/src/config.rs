@@ -24,6 +24,8 @@ pub struct RunConfig {
     pub map: MapConfig,
     /// Which ranges are measurements.
     pub range: RangeLimits,
+    /// What is known of the sensor.
+    pub sensor: SensorConfig,
     /// Options of the method `raycast`.
     pub raycast: RaycastConfig,
     /// Options of the method `normals`.
@@ -46,6 +48,15 @@ pub struct RunConfig {
     pub loops: LoopConfig,
 }
 
+/// What is known of the sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SensorConfig {
+    /// Each return is turned up by this angle, degrees, about the horizontal axis across its azimuth: a known error of the sensor's
+    /// elevations, taken back as scans are read ([`tsdfuse_io::Sensor::elevation_correction_deg`]).
+    pub elevation_correction_deg: f64,
+}
+
 impl RunConfig {
     /// The defaults for a log: what it suggests of method, voxels and ranges, and the defaults of all else.
     pub fn for_log(log: &Log) -> Self {
@@ -54,6 +65,9 @@ impl RunConfig {
             method: suggested.method,
             map: suggested.map,
             range: suggested.range,
+            sensor: SensorConfig {
+                elevation_correction_deg: log.sensors().first().map_or(0.0, |s| s.elevation_correction_deg),
+            },
             ..Self::default()
         }
     }

@@ -32,8 +32,8 @@ impl Input {
     ///
     /// # Errors
     /// As [`Self::open_unplaced`]; [`RunError::Nothing`] if no scan has a pose.
-    pub fn open(&self, observer: &mut dyn Observer) -> Result<Log> {
-        let log = tsdfuse_io::open_with(&self.path, &self.options)?;
+    pub fn open(&self, settings: &Settings, observer: &mut dyn Observer) -> Result<Log> {
+        let log = settings.open(&self.path, &self.options)?;
         if is_unplaced(&log) {
             let path = self.path.display();
             return Err(RunError::Nothing(format!(
@@ -46,9 +46,9 @@ impl Input {
     /// Opens the log, with or without poses, and tells what is odd about it.
     ///
     /// # Errors
-    /// As [`tsdfuse_io::open_with`]; [`RunError::Config`] if the selection begins beyond the last scan.
-    pub fn open_unplaced(&self, observer: &mut dyn Observer) -> Result<Log> {
-        let log = tsdfuse_io::open_with(&self.path, &self.options)?;
+    /// As [`Settings::open`]; [`RunError::Config`] if the selection begins beyond the last scan.
+    pub fn open_unplaced(&self, settings: &Settings, observer: &mut dyn Observer) -> Result<Log> {
+        let log = settings.open(&self.path, &self.options)?;
         self.checked(log, observer)
     }
 

@@ -46,7 +46,7 @@ mod tracking;
 pub mod view;
 
 pub use checkpoint::Checkpoint;
-pub use config::RunConfig;
+pub use config::{RunConfig, SensorConfig};
 pub use device::Device;
 pub use error::{BadScan, Result, RunError};
 pub use event::{Both, Event, Observer, Silent, Stop};

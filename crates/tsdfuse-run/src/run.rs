@@ -68,8 +68,8 @@ impl Job {
 
     fn open(&self, observer: &mut dyn Observer) -> Result<Log> {
         match self.poses {
-            PosesFrom::Log | PosesFrom::Refine => self.input.open(observer),
-            PosesFrom::Any | PosesFrom::Track => self.input.open_unplaced(observer),
+            PosesFrom::Log | PosesFrom::Refine => self.input.open(&self.settings, observer),
+            PosesFrom::Any | PosesFrom::Track => self.input.open_unplaced(&self.settings, observer),
         }
     }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 use tsdfuse::MapConfig;
-use tsdfuse_io::Log;
+use tsdfuse_io::{Log, OpenOptions};
 
 use crate::config::RunConfig;
 use crate::error::{Result, RunError};
@@ -107,6 +107,19 @@ impl Settings {
         texts
     }
 
+    /// Opens a log as these settings ask for.
+    ///
+    /// # Errors
+    /// As [`tsdfuse_io::open_with`].
+    pub fn open(&self, path: &Path, options: &OpenOptions) -> Result<Log> {
+        let mut options = options.clone();
+        if self.has("sensor", "elevation_correction_deg") {
+            let config = self.resolve_over(&RunConfig::default())?;
+            options.elevation_correction_deg = Some(config.sensor.elevation_correction_deg);
+        }
+        Ok(tsdfuse_io::open_with(path, &options)?)
+    }
+
     /// The whole configuration: what is set, else what the log suggests, else the defaults; checked.
     ///
     /// # Errors
@@ -129,6 +142,9 @@ impl Settings {
         }
         if !self.has("range", "max_range_m") {
             config.range.max_range_m = defaults.range.max_range_m;
+        }
+        if !self.has("sensor", "elevation_correction_deg") {
+            config.sensor = defaults.sensor;
         }
         if !self.has("map", "voxel_size_m") {
             config.map.voxel_size_m = defaults.map.voxel_size_m;

@@ -28,6 +28,8 @@ pub(super) struct LogInfo {
     sensors: Vec<String>,
     /// Whether the sensor's model was guessed from a scan.
     sensor_guessed: bool,
+    /// Each point is turned up by this: a known error of the sensor's elevations.
+    elevation_correction_deg: f64,
     /// The camera, where the scans are depth images.
     camera: Option<Pinhole>,
     /// Median rate of the scans.
@@ -95,15 +97,16 @@ impl LogInfo {
             sensor: first.and_then(|sensor| sensor.model.clone()),
             sensors: log.sensors().iter().map(|sensor| sensor.name.clone()).collect(),
             sensor_guessed: false,
+            elevation_correction_deg: first.map_or(0.0, |sensor| sensor.elevation_correction_deg),
             camera: first.and_then(|sensor| sensor.camera),
             rate_hz: rate_hz(log.scans()),
             duration_secs: duration_secs(log.scans()),
             path_length_m: path_length_m(log.scans()),
             sample: Sample::default(),
             trajectory_poses: log.trajectory().map(|trajectory| trajectory.poses().len()),
-            imu_samples: log.imu()?.len(),
+            imu_samples: samples(&log, "/Imu", |log| log.imu().map(|samples| samples.len()))?,
             images: log.images().len(),
-            gnss_fixes: log.gnss()?.len(),
+            gnss_fixes: samples(&log, "/NavSatFix", |log| log.gnss().map(|fixes| fixes.len()))?,
             recorded: log.recorded().cloned(),
             notes: log.notes().to_vec(),
         };
@@ -176,6 +179,17 @@ impl Sample {
     }
 }
 
+/// How many samples there are: in a recording by its index, of the topic with the most.
+fn samples(log: &Log, kind: &str, count: impl Fn(&Log) -> tsdfuse_io::Result<usize>) -> Result<usize> {
+    match log.recorded() {
+        Some(recorded) => {
+            let topics = recorded.topics.iter().filter(|topic| topic.kind.ends_with(kind));
+            Ok(topics.map(|topic| topic.messages).max().unwrap_or(0))
+        }
+        None => Ok(count(log)?),
+    }
+}
+
 fn path_length_m(scans: &[ScanRef]) -> f64 {
     length_m(scans.iter().filter_map(|scan| scan.pose.as_ref()))
 }
@@ -205,6 +219,15 @@ pub(super) fn table(info: &LogInfo) -> String {
     match &info.camera {
         Some(camera) => rows.add("camera", camera_line(camera)),
         None => rows.add("sensor", sensor_line(info)),
+    }
+    if info.elevation_correction_deg != 0.0 {
+        rows.add(
+            "elevations",
+            format!(
+                "each point is turned up by {}°, a known error of this sensor; --set sensor.elevation_correction_deg=0 leaves it",
+                info.elevation_correction_deg
+            ),
+        );
     }
     rows.add("scans", scans_line(info));
     rows.add("path", format!("{:.1} m", info.path_length_m));

@@ -166,7 +166,7 @@ impl Args {
             selection: self.scans.clone().unwrap_or_default(),
             skip_bad: self.skip_bad,
         };
-        let log = input.open(&mut Terminal::default())?;
+        let log = input.open(&tsdfuse_run::Settings::default(), &mut Terminal::default())?;
         let range = log.suggested().range;
         let stop = exit::stop_on_interrupt()?;
         let bar = progress::scans("following rays", log.len());

@@ -5,6 +5,7 @@
 mod bad_input;
 mod bench;
 mod browser;
+mod convert;
 mod eval;
 mod evaluate;
 mod fuse;

@@ -134,7 +134,7 @@ impl Bench {
             simulated.path().clone_into(&mut input.path);
             folder = Some(simulated);
         }
-        let log = input.open(&mut Runs(watch))?;
+        let log = input.open(&self.settings, &mut Runs(watch))?;
         let scans = input.selection.indices(reference::length(&log)?).len();
         Ok(Opened {
             input,

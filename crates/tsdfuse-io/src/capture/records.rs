@@ -1,13 +1,13 @@
 //! The records of a capture file, PCAP or pcapng, from any of them on.
 
-use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use pcap_parser::pcapng::{Block, parse_block_be, parse_block_le};
 use pcap_parser::traits::PcapNGPacketBlock;
 use pcap_parser::{parse_pcap_frame, parse_pcap_frame_be, parse_pcap_header};
 
+use super::parts::{PCAPNG, Parts};
 use crate::error::{Error, Result};
 
 /// Longer records are damage: no packet is longer than 64 KiB.
@@ -16,16 +16,6 @@ const MAX_RECORD: usize = 1 << 18;
 const MAX_INTERFACES: usize = 4096;
 /// Bytes that are read at once.
 const CHUNK: usize = 1 << 18;
-
-const PCAPNG: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
-
-/// Whether a file begins as a capture does.
-pub(crate) fn is_capture(head: [u8; 4]) -> bool {
-    let micros_or_nanos = [0xA1B2_C3D4_u32, 0xA1B2_3C4D];
-    head == PCAPNG
-        || micros_or_nanos.contains(&u32::from_le_bytes(head))
-        || micros_or_nanos.contains(&u32::from_be_bytes(head))
-}
 
 /// What must be known of a capture to read it from its middle on.
 #[derive(Clone, Debug)]
@@ -88,15 +78,15 @@ pub(crate) struct Records<R> {
     damage: Option<String>,
 }
 
-impl Records<File> {
+impl Records<Parts> {
     pub(crate) fn open(path: &Path) -> Result<Self> {
-        Self::new(path, File::open(path).map_err(Error::io(path))?)
+        Self::new(path, Parts::open(path).map_err(Error::io(path))?)
     }
 
     /// From the record at an offset on, of a capture whose layout is known.
     pub(crate) fn resume(path: &Path, layout: &Layout, offset: u64) -> Result<Self> {
-        let mut file = File::open(path).map_err(Error::io(path))?;
-        file.seek(SeekFrom::Start(offset)).map_err(Error::io(path))?;
+        let mut file = Parts::open(path).map_err(Error::io(path))?;
+        file.go_to(offset);
         Ok(Self {
             path: path.to_owned(),
             input: BufReader::with_capacity(CHUNK, file),

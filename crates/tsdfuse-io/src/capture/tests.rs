@@ -266,3 +266,35 @@ fn poses_are_taken_on_either_clock() {
         assert!((x - want).abs() < 1e-3 && !scan.motion.is_empty(), "{x} {want}");
     }
 }
+
+/// `tcpdump -C` and Wireshark split a capture into files with a header each.
+#[test]
+fn a_split_capture_is_one() {
+    let frames = turns([10, 0, 0, 5], 2368, 0);
+    let kinds: [fn(&[(i64, Vec<u8>)]) -> Vec<u8>; 2] = [pcap, |frames| pcapng(frames, false)];
+    for write in kinds {
+        let (_whole, path) = written(&write(&frames));
+        let whole = opened(&path);
+        let folder = tempfile::tempdir().unwrap();
+        for (k, part) in frames.chunks(frames.len() / 3 + 1).enumerate() {
+            std::fs::write(folder.path().join(format!("drive.pcap{k}")), write(part)).unwrap();
+        }
+        let split = opened(folder.path());
+        assert!(whole.len() > Some(1));
+        assert_eq!((split.len(), split.notes()), (whole.len(), whole.notes()));
+        for index in (0..whole.len().unwrap()).rev() {
+            let [a, b] = [&split, &whole].map(|log| log.read(index).unwrap());
+            assert_eq!((a.points, a.times, a.rings), (b.points, b.times, b.rings));
+        }
+        // A file of another kind among them.
+        let other = pcap(&[])[..24].iter().copied().chain([0; 30]).collect::<Vec<u8>>();
+        let other = if write(&[])[..4] == other[..4] {
+            pcapng(&[], true)
+        } else {
+            other
+        };
+        std::fs::write(folder.path().join("drive.pcap9"), other).unwrap();
+        let told = crate::open(folder.path()).unwrap_err().to_string();
+        assert!(told.contains("drive.pcap9 is a capture of another kind than"), "{told}");
+    }
+}

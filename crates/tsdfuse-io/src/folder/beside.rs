@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::poses::{self, Poses};
 use crate::source::{OpenOptions, Sensor};
-use crate::{calib, present, text};
+use crate::{calib, elevation, present, text};
 
 /// The motion of each scan, where the file is there and says so.
 pub(super) fn motions(path: &Path, files: &[ScanFile]) -> Result<Vec<Vec<PoseAt>>> {
@@ -48,11 +48,13 @@ fn motion(line: &text::Line) -> Result<Vec<PoseAt>> {
     Ok(motion)
 }
 
-/// The sensor: the model asked for, or that of `sensor.toml`, and where it sits on the body.
-pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<Sensor> {
+/// The sensor: the model asked for, or that of `sensor.toml`, and where it sits on the body; and whether the file says how far
+/// its elevations are off.
+pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<(Sensor, bool)> {
     let path = root.join("sensor.toml");
     let told = present::file(&path)?.then(|| parse_sensor(&path, &files::read(&path)?));
-    let (mut model, body_from_sensor) = told.transpose()?.unwrap_or_default();
+    let told = told.transpose()?.unwrap_or_default();
+    let mut model = told.model;
     match options.sensors.as_slice() {
         [] => {}
         [name] => {
@@ -66,10 +68,12 @@ pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<Sensor> {
             return Err(Error::dataset(root, reason));
         }
     }
-    Ok(Sensor {
-        body_from_sensor: options.extrinsics.or(body_from_sensor).unwrap_or_default(),
+    let sensor = Sensor {
+        body_from_sensor: options.extrinsics.or(told.body_from_sensor).unwrap_or_default(),
+        elevation_correction_deg: told.elevation_correction_deg.unwrap_or_default(),
         ..of_model(model)
-    })
+    };
+    Ok((sensor, told.elevation_correction_deg.is_some()))
 }
 
 /// A sensor that is called after its model.
@@ -81,47 +85,71 @@ pub(super) fn of_model(model: Option<SensorModel>) -> Sensor {
     }
 }
 
-/// What `sensor.toml` may hold.
+/// What `sensor.toml` tells.
+#[derive(Debug, Default)]
+pub(crate) struct SensorFile {
+    pub(crate) model: Option<SensorModel>,
+    pub(crate) body_from_sensor: Option<Pose>,
+    pub(crate) elevation_correction_deg: Option<f64>,
+}
+
+/// A `sensor.toml` with a model.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct SensorFile {
+struct WithModel {
     name: String,
     elevations_deg: Vec<f32>,
     columns: u32,
     min_range_m: f32,
     max_range_m: f32,
     body_from_sensor: Option<[f64; 12]>,
+    elevation_correction_deg: Option<f64>,
 }
 
 /// A `sensor.toml` without a model.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct ExtrinsicsOnly {
-    body_from_sensor: [f64; 12],
+struct WithoutModel {
+    body_from_sensor: Option<[f64; 12]>,
+    elevation_correction_deg: Option<f64>,
 }
 
-/// Parses `sensor.toml`: the model, and `body_from_sensor`; one of them may be missing. `path` is for messages.
+/// Parses `sensor.toml`: the model, where the sensor sits and how far its elevations are off; each of them may be missing. `path` is
+/// for messages.
 ///
 /// # Errors
 /// Names the file and what no sensor can have.
-pub(crate) fn parse_sensor(path: &Path, bytes: &[u8]) -> Result<(Option<SensorModel>, Option<Pose>)> {
-    let pose = |numbers: [f64; 12]| {
-        let pose = Pose::from_row_major_3x4(&numbers);
-        pose.map_err(|e| Error::format(path, format!("body_from_sensor: {e}")))
+pub(crate) fn parse_sensor(path: &Path, bytes: &[u8]) -> Result<SensorFile> {
+    let file = |model, body_from_sensor: Option<[f64; 12]>, elevation_correction_deg: Option<f64>| {
+        let pose = |numbers: [f64; 12]| {
+            let pose = Pose::from_row_major_3x4(&numbers);
+            pose.map_err(|e| Error::format(path, format!("body_from_sensor: {e}")))
+        };
+        if let Some(degrees) = elevation_correction_deg.filter(|d| !elevation::is_possible(*d)) {
+            let reason = format!("elevation_correction_deg: {degrees}° is no error of a sensor");
+            return Err(Error::format(path, reason));
+        }
+        Ok(SensorFile {
+            model,
+            body_from_sensor: body_from_sensor.map(pose).transpose()?,
+            elevation_correction_deg,
+        })
     };
-    if let Ok(ExtrinsicsOnly { body_from_sensor }) = text::toml(path, bytes) {
-        return Ok((None, Some(pose(body_from_sensor)?)));
+    if let Ok(told) = text::toml::<WithoutModel>(path, bytes)
+        && (told.body_from_sensor.is_some() || told.elevation_correction_deg.is_some())
+    {
+        return file(None, told.body_from_sensor, told.elevation_correction_deg);
     }
-    let file: SensorFile = text::toml(path, bytes)?;
+    let told: WithModel = text::toml(path, bytes)?;
     let model = SensorModel {
-        name: file.name,
-        elevations_deg: file.elevations_deg,
-        columns: file.columns,
-        min_range_m: file.min_range_m,
-        max_range_m: file.max_range_m,
+        name: told.name,
+        elevations_deg: told.elevations_deg,
+        columns: told.columns,
+        min_range_m: told.min_range_m,
+        max_range_m: told.max_range_m,
     };
     model.check().map_err(|e| Error::format(path, e.to_string()))?;
-    Ok((Some(model), file.body_from_sensor.map(pose).transpose()?))
+    file(Some(model), told.body_from_sensor, told.elevation_correction_deg)
 }
 
 /// Poses and the file they come from.

@@ -86,6 +86,9 @@ impl Writer {
             let path = folder.join("calib.txt");
             // The poses are the scanner's own.
             fs::write(&path, "Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n").map_err(Error::io(&path))?;
+            // What is read of a log is corrected already.
+            let path = folder.join("sensor.toml");
+            fs::write(&path, "elevation_correction_deg = 0.0\n").map_err(Error::io(&path))?;
         }
         Ok(Self {
             folder: folder.to_owned(),

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use tsdfuse::pose::Interpolation;
 use tsdfuse::{Pose, Trajectory};
 
 /// The way from a frame to one of its ancestors is this long at most.
@@ -23,6 +24,27 @@ pub(crate) struct Frames {
     edges: BTreeMap<String, Edge>,
     /// Frames that were told of with two parents.
     pub(crate) torn: Vec<String>,
+}
+
+/// Poses in order of time with interpolated ones in gaps of up to an hour.
+pub(crate) fn filled(poses: &[(i64, Pose)], step_ns: i64) -> Vec<(i64, Pose)> {
+    const LONGEST_NS: i64 = 3_600_000_000_000;
+    let mut all = Vec::new();
+    for pair in poses.windows(2) {
+        let [(begin, from), (end, to)] = [pair[0], pair[1]];
+        all.push((begin, from));
+        let gap = end.saturating_sub(begin);
+        if gap > step_ns && gap <= LONGEST_NS {
+            let between = Interpolation::new(from, to);
+            let steps = gap / step_ns;
+            all.extend((1..=steps).filter_map(|k| {
+                let time_ns = begin + k * step_ns;
+                (time_ns < end).then(|| (time_ns, between.at(k as f64 * step_ns as f64 / gap as f64)))
+            }));
+        }
+    }
+    all.extend(poses.last());
+    all
 }
 
 /// Names of frames may begin with a slash, which means nothing.
@@ -58,6 +80,14 @@ impl Frames {
             if let Some(first) = poses.next() {
                 edge.is_static |= poses.all(|pose| pose == first);
             }
+        }
+    }
+
+    /// Fills gaps between the poses of moving frames with interpolated ones.
+    pub(crate) fn fill(&mut self, step_ns: i64) {
+        for edge in self.edges.values_mut().filter(|edge| !edge.is_static) {
+            let poses: Vec<_> = edge.poses.iter().map(|(time_ns, pose)| (*time_ns, *pose)).collect();
+            edge.poses = filled(&poses, step_ns).into_iter().collect();
         }
     }
 

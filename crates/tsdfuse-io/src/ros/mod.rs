@@ -24,6 +24,7 @@ mod bag1;
 mod container;
 #[cfg(feature = "db3")]
 mod db3;
+mod follow;
 mod frames;
 pub(crate) mod fuzzing;
 mod images;
@@ -43,6 +44,7 @@ mod writer;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use follow::Follow;
 #[cfg(test)]
 pub(crate) use mcap::MAGIC as MAGIC_MCAP;
 pub(crate) use recording::Recording;

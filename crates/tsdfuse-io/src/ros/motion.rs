@@ -3,7 +3,7 @@
 use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, Trajectory};
 
-use super::frames::{Frames, plain};
+use super::frames::{Frames, filled, plain};
 use crate::poses;
 
 /// Poses over time from one topic.
@@ -19,6 +19,14 @@ pub(crate) struct Track {
     pub(crate) poses: Vec<(i64, Pose)>,
     /// How much later the messages were recorded than they are stamped, seconds.
     pub(crate) delay_secs: Option<f64>,
+}
+
+impl Track {
+    /// Fills gaps with interpolated poses.
+    pub(crate) fn fill(&mut self, step_ns: i64) {
+        self.poses.sort_by_key(|(time_ns, _)| *time_ns);
+        self.poses = filled(&self.poses, step_ns);
+    }
 }
 
 /// Poses that could be those of a sensor.

@@ -62,7 +62,7 @@ struct Motion {
 impl Recording {
     pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Self> {
         let bag = Bag::open(path)?;
-        let survey = Survey::make(&bag)?;
+        let survey = Survey::make(&bag, options.glance)?;
         let mut this = Self {
             notes: [bag.notes(), &survey.notes].concat(),
             bag,

@@ -1,11 +1,11 @@
 //! One pass over a recording before it is used: stamps of all messages that matter, and all poses.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use tsdfuse::trajectory::secs_between;
+use tsdfuse::trajectory::{ns_after, secs_between};
 
 use super::bag::Bag;
-use super::container::{Channel, Entry};
+use super::container::{Channel, Entry, NO_CHUNK};
 use super::frames::Frames;
 use super::messages::{self, Header, Placed};
 use super::motion::Track;
@@ -16,6 +16,22 @@ use crate::error::{Error, Result};
 
 /// Header and stamp of a message lie within this many bytes, unless the frame's name is very long.
 const HEAD: usize = 512;
+
+/// Parts of a recording that are read for a glance, and bytes of a part where there are no chunks.
+const GLANCES: usize = 32;
+const PART: u64 = 1 << 22;
+/// From one interpolated pose to the next.
+const GLANCE_STEP_NS: i64 = 100_000_000;
+
+/// The part of a recording in which a message lies.
+fn place(entry: &Entry) -> (u32, u32, u64) {
+    let part = if entry.chunk == NO_CHUNK {
+        entry.offset / PART
+    } else {
+        0
+    };
+    (entry.part, entry.chunk, part)
+}
 
 /// What a channel is used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -126,11 +142,12 @@ fn head(bag: &Bag, channel: &Channel, schema: &Schema, entry: &Entry) -> Result<
 }
 
 impl Survey {
-    /// Makes the pass.
+    /// Makes the pass. For a `glance`, of a large recording only some chunks are read, evenly spread: other stamps are estimated from
+    /// when messages were recorded, and poses between are interpolated.
     ///
     /// # Errors
     /// If the files cannot be read. Messages that are damaged are counted and noted.
-    pub(crate) fn make(bag: &Bag) -> Result<Self> {
+    pub(crate) fn make(bag: &Bag, glance: bool) -> Result<Self> {
         let mut this = Self {
             schemas: BTreeMap::new(),
             stamps: BTreeMap::new(),
@@ -175,6 +192,23 @@ impl Survey {
         }
         // As they lie, so that each chunk is unpacked once.
         wanted.sort_by_key(|(entry, ..)| (entry.part, entry.chunk, entry.offset));
+        let is_static = |number: usize| {
+            bag.channels()
+                .get(number)
+                .is_some_and(|channel| channel.topic.contains("static"))
+        };
+        let places = wanted.iter().map(|(entry, ..)| place(entry)).collect::<BTreeSet<_>>();
+        let is_glance = glance && places.len() > GLANCES;
+        if is_glance {
+            let places: Vec<_> = places.into_iter().collect();
+            let some = (0..GLANCES).filter_map(|k| places.get(k * (places.len() - 1) / (GLANCES - 1)));
+            let some: BTreeSet<_> = some.collect();
+            wanted.retain(|(entry, number, _)| some.contains(&place(entry)) || is_static(*number));
+            this.notes.push(format!(
+                "this is an overview: {GLANCES} of {} parts of the recording were read; stamps and poses between are estimated",
+                places.len()
+            ));
+        }
         let mut heads: BTreeMap<usize, Vec<Option<Header>>> = BTreeMap::new();
         let mut placed: Vec<(i64, usize, Vec<Placed>)> = Vec::new();
         let mut damaged: BTreeMap<usize, (usize, String)> = BTreeMap::new();
@@ -225,6 +259,10 @@ impl Survey {
         }
         placed.sort_by_key(|(recorded_ns, ..)| *recorded_ns);
         this.take_poses(bag, placed);
+        if is_glance {
+            this.frames.fill(GLANCE_STEP_NS);
+            this.tracks.iter_mut().for_each(|track| track.fill(GLANCE_STEP_NS));
+        }
         Ok(this)
     }
 
@@ -298,8 +336,10 @@ fn stamps(entries: &[Entry], heads: Vec<Option<Header>>) -> Stamps {
         .filter_map(|(entry, header)| Some(secs_between(header.as_ref()?.stamp_ns, entry.time_ns)));
     let mut delays: Vec<f64> = delays.collect();
     let delay = median(&mut delays);
+    let usual = if delay.is_finite() { delay } else { 0.0 };
     let times_ns = entries.iter().zip(heads).map(|(entry, header)| match header {
         Some(header) if unusable.is_none() => header.stamp_ns,
+        None if unusable.is_none() => ns_after(entry.time_ns, -usual),
         _ => entry.time_ns,
     });
     Stamps {

@@ -294,7 +294,7 @@ fn packets_become_the_drivers_points() {
         let path = folder.join(name);
         let log = open_with(&path, &options).unwrap();
         let truth = crate::files::list(&path, "pcd").unwrap();
-        let truth = crate::folder::read_cloud(&truth[0].path).unwrap();
+        let truth = crate::pcd::parse(&truth[0].path, &std::fs::read(&truth[0].path).unwrap()).unwrap();
         let near = |scan: &Scan| {
             let grid = |p: &Vec3| (*p * 50.0).round().as_ivec3();
             let seen: std::collections::HashSet<_> = scan.points.iter().map(grid).collect();
@@ -334,4 +334,189 @@ fn real_recordings_without_clouds_are_described() {
         assert!(recorded.topics.iter().any(|topic| topic.messages > 10), "{name}");
         assert!(recording.scans().is_empty() && recording.notes().iter().any(|note| note.contains("holds no scans")));
     }
+}
+
+/// What `testdata/ros/odd.py` wrote.
+fn odd(name: &str) -> Log {
+    open(data(&format!("odd_{name}.mcap"))).unwrap()
+}
+
+fn conclusions(log: &Log) -> String {
+    let told = log.recorded().unwrap().conclusions.iter();
+    told.map(|(subject, text)| format!("{subject}: {text}\n")).collect()
+}
+
+#[test]
+fn clouds_of_any_order_of_bytes_with_rows_and_gaps_are_the_same() {
+    let (big, little) = (odd("big"), odd("little"));
+    assert_eq!((big.len(), little.len()), (Some(5), Some(5)));
+    for k in 0..5 {
+        let [a, b] = [&big, &little].map(|log| log.read(k).unwrap());
+        assert_eq!(a.points.len(), 160);
+        let bits = |scan: &Scan| {
+            scan.points
+                .iter()
+                .map(|p| p.to_array().map(f32::to_bits))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(bits(&a), bits(&b));
+        assert!(
+            a.points[0].distance(Vec3::new(
+                5.0 + k as f32,
+                0.0,
+                (5.0 + k as f32) * 14f32.to_radians().tan()
+            )) < 1e-5
+        );
+        // What measured nothing is still there.
+        assert!(a.points[3].is_nan() && a.points[17] == Vec3::ZERO);
+        assert_eq!(a.intensities.unwrap()[159], 159.0);
+        // Rows are beams, the highest first.
+        let rings = a.rings.unwrap();
+        assert_eq!((rings[0], rings[19], rings[20], rings[159]), (7, 7, 6, 0));
+    }
+    assert!(
+        conclusions(&big).contains("rows of the organized cloud"),
+        "{}",
+        conclusions(&big)
+    );
+}
+
+#[test]
+fn partial_clouds_are_put_together() {
+    let log = odd("partial");
+    assert_eq!(log.len(), Some(6), "{}", conclusions(&log));
+    assert!(
+        conclusions(&log).contains("4 messages make a sweep, as each turns on by 90.0°"),
+        "{}",
+        conclusions(&log)
+    );
+    let scan = log.read(2).unwrap();
+    assert_eq!((scan.points.len(), scan.time_ns), (800, Some(T0 + 200_000_000)));
+    assert!(scan.points.iter().all(|p| (p.x.hypot(p.y) - 12.0).abs() < 1e-4));
+}
+
+#[test]
+fn stamps_count_unless_they_stand_still() {
+    let log = odd("unstamped");
+    let times: Vec<_> = log.scans().iter().map(|scan| scan.time_ns.unwrap() - T0).collect();
+    assert_eq!(times, [0, 1, 2, 3, 4].map(|k| k * 100_000_000));
+    let log = odd("clock");
+    let times: Vec<_> = log.scans().iter().map(|scan| scan.time_ns.unwrap() - T0).collect();
+    assert_eq!(times, [0, 1, 2, 3, 4].map(|k| k * 100_000_000));
+    let delay = log.recorded().unwrap().topics[0].delay_secs.unwrap();
+    assert!((delay - 5.0).abs() < 1e-6, "{delay}");
+}
+
+#[test]
+fn frames_that_go_round_are_an_error_in_one_line() {
+    let told = open(data("odd_cyclic.mcap")).unwrap_err().to_string();
+    assert!(
+        told.contains("the frames of tf go round in a circle: ") && !told.contains('\n'),
+        "{told}"
+    );
+}
+
+/// All sweeps are there once, in order of time.
+#[test]
+fn a_clock_that_was_set_back_loses_nothing() {
+    let log = odd("back");
+    let times: Vec<_> = log.scans().iter().map(|scan| scan.time_ns.unwrap()).collect();
+    assert!(times.is_sorted() && times.len() == 7, "{times:?} {:?}", log.notes());
+    let mut seen: Vec<_> = (0..7).map(|k| log.read(k).unwrap().points[0].x).collect();
+    seen.sort_by(f32::total_cmp);
+    assert_eq!(seen, [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]);
+}
+
+#[test]
+fn a_line_in_a_plane_is_refused_in_words() {
+    let log = odd("laser");
+    assert!(
+        log.is_empty()
+            && has_note(
+                &log,
+                "a LaserScan is one line in a plane, from which no surface follows"
+            ),
+        "{:?}",
+        log.notes()
+    );
+}
+
+/// Hands out a file piece by piece.
+struct Slow(std::io::Cursor<Vec<u8>>, usize);
+
+impl std::io::Read for Slow {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        std::thread::sleep(std::time::Duration::from_millis(2));
+        let length = buffer.len().min(self.1);
+        self.0.read(&mut buffer[..length])
+    }
+}
+
+fn same_scans(name: &str, log: &Log) {
+    let whole = only(&data(name), "/points");
+    assert!(log.len().is_none() && log.is_unplaced() == whole.is_unplaced());
+    let streamed: Vec<_> = log.into_iter().map(Result::unwrap).collect();
+    let wanted: Vec<_> = whole.into_iter().map(Result::unwrap).collect();
+    assert_eq!(streamed.len(), wanted.len(), "{name}");
+    for (a, b) in streamed.iter().zip(&wanted) {
+        assert_eq!(
+            (a.time_ns, a.pose, &a.points, &a.times),
+            (b.time_ns, b.pose, &b.points, &b.times),
+            "{name}"
+        );
+    }
+}
+
+fn points_only() -> OpenOptions {
+    OpenOptions {
+        sensors: vec!["/points".to_owned()],
+        follow: true,
+        ..OpenOptions::default()
+    }
+}
+
+#[test]
+fn a_recording_through_a_pipe_gives_the_same_scans() {
+    for name in ["zstd.mcap", "ros1_lz4.bag"] {
+        let bytes = std::fs::read(data(name)).unwrap();
+        let step = bytes.len() / 40;
+        let slow = Slow(std::io::Cursor::new(bytes), step);
+        let follow = super::Follow::read(slow, &points_only()).unwrap();
+        same_scans(name, &Log::of_stream(follow));
+    }
+    let follow = super::Follow::read(std::io::empty(), &points_only());
+    assert!(follow.is_err());
+}
+
+#[test]
+fn a_recording_that_grows_gives_the_same_scans() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["lz4.mcap", "ros1_bz2.bag"] {
+        let bytes = std::fs::read(data(name)).unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, &bytes[..bytes.len() / 10]).unwrap();
+        let growing = path.clone();
+        let writer = std::thread::spawn(move || {
+            use std::io::Write;
+            let mut file = std::fs::OpenOptions::new().append(true).open(growing).unwrap();
+            for part in bytes[bytes.len() / 10..].chunks(bytes.len() / 10) {
+                std::thread::sleep(std::time::Duration::from_millis(100));
+                file.write_all(part).unwrap();
+            }
+        });
+        same_scans(name, &open_with(&path, &points_only()).unwrap());
+        writer.join().unwrap();
+    }
+}
+
+/// The writer is killed: what is whole is read, and the stream ends by itself.
+#[test]
+fn a_recording_that_stands_still_is_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cut.mcap");
+    let bytes = std::fs::read(data("lz4.mcap")).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let log = open_with(&path, &points_only()).unwrap();
+    let scans: Vec<_> = log.into_iter().map(Result::unwrap).collect();
+    assert!((2..10).contains(&scans.len()), "{}", scans.len());
 }

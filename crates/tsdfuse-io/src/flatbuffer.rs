@@ -1,8 +1,8 @@
-//! As much of FlatBuffers as OSF needs, with every offset checked: what lies outside of the buffer is not there.
+//! As much of FlatBuffers as OSF and Arrow need, with every offset checked: what lies outside of the buffer is not there.
 
 /// A table in a buffer.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Table<'a> {
+pub(crate) struct Table<'a> {
     bytes: &'a [u8],
     at: usize,
 }
@@ -17,9 +17,14 @@ fn u32_at(bytes: &[u8], at: usize) -> Option<usize> {
 
 impl<'a> Table<'a> {
     /// The root of a buffer that begins with its size.
-    pub(super) fn root(bytes: &'a [u8]) -> Option<Self> {
+    pub(crate) fn root(bytes: &'a [u8]) -> Option<Self> {
         let size = u32_at(bytes, 0)?;
         let bytes = bytes.get(4..size.checked_add(4)?)?;
+        Self::new(bytes, u32_at(bytes, 0)?)
+    }
+
+    /// The root of a buffer that begins with its offset.
+    pub(crate) fn root_without_size(bytes: &'a [u8]) -> Option<Self> {
         Self::new(bytes, u32_at(bytes, 0)?)
     }
 
@@ -37,16 +42,26 @@ impl<'a> Table<'a> {
         (offset > 0).then_some(self.at + offset)
     }
 
-    pub(super) fn u64(&self, number: usize) -> Option<u64> {
+    pub(crate) fn u8(&self, number: usize) -> Option<u8> {
+        self.bytes.get(self.field(number)?).copied()
+    }
+
+    pub(crate) fn u64(&self, number: usize) -> Option<u64> {
         array(self.bytes, self.field(number)?).map(u64::from_le_bytes)
     }
 
-    pub(super) fn u32(&self, number: usize) -> Option<u32> {
+    pub(crate) fn u32(&self, number: usize) -> Option<u32> {
         array(self.bytes, self.field(number)?).map(u32::from_le_bytes)
     }
 
+    /// The table that a field refers to.
+    pub(crate) fn table(&self, number: usize) -> Option<Self> {
+        let field = self.field(number)?;
+        Self::new(self.bytes, field.checked_add(u32_at(self.bytes, field)?)?)
+    }
+
     /// The elements of a vector of so many bytes each.
-    pub(super) fn vector(&self, number: usize, size: usize) -> Option<std::slice::ChunksExact<'a, u8>> {
+    pub(crate) fn vector(&self, number: usize, size: usize) -> Option<std::slice::ChunksExact<'a, u8>> {
         let field = self.field(number)?;
         let begin = field.checked_add(u32_at(self.bytes, field)?)?;
         let bytes = u32_at(self.bytes, begin)?.checked_mul(size)?;
@@ -54,19 +69,19 @@ impl<'a> Table<'a> {
         Some(self.bytes.get(begin..begin.checked_add(bytes)?)?.chunks_exact(size))
     }
 
-    pub(super) fn bytes(&self, number: usize) -> Option<&'a [u8]> {
+    pub(crate) fn bytes(&self, number: usize) -> Option<&'a [u8]> {
         let field = self.field(number)?;
         let begin = field.checked_add(u32_at(self.bytes, field)?)?;
         let end = begin.checked_add(4)?.checked_add(u32_at(self.bytes, begin)?)?;
         self.bytes.get(begin + 4..end)
     }
 
-    pub(super) fn text(&self, number: usize) -> Option<&'a str> {
+    pub(crate) fn text(&self, number: usize) -> Option<&'a str> {
         std::str::from_utf8(self.bytes(number)?).ok()
     }
 
     /// The tables of a vector of tables.
-    pub(super) fn tables(&self, number: usize) -> Option<impl Iterator<Item = Table<'a>> + use<'a>> {
+    pub(crate) fn tables(&self, number: usize) -> Option<impl Iterator<Item = Table<'a>> + use<'a>> {
         let (bytes, field) = (self.bytes, self.field(number)?);
         let begin = field.checked_add(u32_at(bytes, field)?)?.checked_add(4)?;
         let offsets = self.vector(number, 4)?.enumerate();
