@@ -59,7 +59,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     args.check(&bench.forms)?;
     args.log.set_threads()?;
     let mut bars = Bars::default();
-    let watch = &mut |progress: tsdfuse_evaluate::Progress<'_>| bars.show(progress);
+    let watch = &mut |progress: tsdfuse_evaluate::Progress<'_>| bars.show(&progress);
     exit::quiet_gpu(&args.device);
     if let Device::Gpu(name) = &args.device {
         return gpu::run(&bench, name.as_deref(), args.json, watch);

@@ -124,7 +124,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         ..OpenOptions::default()
     };
     let mut bars = Bars::default();
-    let found = reference::read(&args.reference, args.every as usize, &options, &mut |p| bars.show(p));
+    let found = reference::read(&args.reference, args.every as usize, &options, &mut |p| bars.show(&p));
     let mut reference = found.map_err(told)?;
     if let Some(path) = &args.observed {
         reference = reference::observed_at(reference, path).map_err(told)?;

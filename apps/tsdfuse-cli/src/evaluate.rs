@@ -101,7 +101,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let evaluation = args.evaluation(forms)?;
     args.log.set_threads()?;
     let mut bars = Bars::default();
-    let found = evaluation.run(&mut run_job::in_own_process(args.log.threads), &mut |p| bars.show(p));
+    let found = evaluation.run(&mut run_job::in_own_process(args.log.threads), &mut |p| bars.show(&p));
     let Evaluated {
         results,
         files,
@@ -142,7 +142,7 @@ fn tune(args: &Args, forms: Vec<Form>) -> Result<Outcome> {
     };
     args.log.set_threads()?;
     let mut bars = Bars::default();
-    let found = tuning.run(&mut |p| bars.show(p)).map_err(told)?;
+    let found = tuning.run(&mut |p| bars.show(&p)).map_err(told)?;
     for skipped in &found.skipped_scans {
         say(format_args!(
             "tsdfuse: warning: skipped {}: {}",

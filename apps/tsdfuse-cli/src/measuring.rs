@@ -17,8 +17,8 @@ pub(crate) struct Bars {
 }
 
 impl Bars {
-    pub(crate) fn show(&mut self, progress: Progress<'_>) {
-        match progress {
+    pub(crate) fn show(&mut self, progress: &Progress<'_>) {
+        match *progress {
             Progress::Begun { work, steps } => {
                 self.bar = Some(match steps {
                     Some(steps) => progress::steps(work, steps),

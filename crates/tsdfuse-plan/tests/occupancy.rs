@@ -127,7 +127,7 @@ fn frontiers_are_where_the_unknown_begins() {
         frontiers[0].center
     );
     for frontier in &frontiers {
-        assert!(frontier.voxels.len() >= 20 && frontier.voxels.is_sorted_by_key(|voxel| voxel.to_array()));
+        assert!(frontier.voxels.len() >= 20 && frontier.voxels.is_sorted_by_key(tsdfuse::glam::IVec3::to_array));
         assert!(
             frontier
                 .voxels

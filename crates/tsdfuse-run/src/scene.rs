@@ -30,7 +30,7 @@ pub fn of_map(title: &str, voxel_size_m: f64, map: &MapReport, poses: &[FusedPos
         .file_name()
         .map_or(title.into(), |name| name.to_string_lossy());
     let mut figures = vec![
-        ("voxels".to_owned(), format!("{} m", voxel_size_m)),
+        ("voxels".to_owned(), format!("{voxel_size_m} m")),
         ("voxels observed".to_owned(), with_commas(map.observed_voxels as u64)),
     ];
     if poses.len() > 1 {

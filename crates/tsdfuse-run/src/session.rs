@@ -109,7 +109,7 @@ enum Placer {
     /// The log did.
     Log,
     Odometry(Box<Tracking>),
-    Refinement(Refinement),
+    Refinement(Box<Refinement>),
 }
 
 /// A scan that was given to the backend.
@@ -319,7 +319,7 @@ impl Session {
         let mut to_fuse = self.setup.selection.indices(scans);
         to_fuse.drain(..self.checkpoint.done.min(to_fuse.len()));
         self.next = to_fuse.into_iter().map(|index| placed.pose(index)).collect();
-        self.placer = Placer::Refinement(placed);
+        self.placer = Placer::Refinement(Box::new(placed));
         self.begun = Instant::now();
         Ok(())
     }

@@ -60,7 +60,7 @@ pub(crate) fn pieces(surface: &Surface<'_>, lattice: &Lattice) -> Vec<Piece> {
     let groups = divide((0..mesh.triangles.len() as u32).collect(), &middles);
     let scratch = || vec![u32::MAX; mesh.vertices.len()];
     let nested = groups.into_par_iter().map_init(scratch, |numbers, triangles| {
-        piece_or_halves(surface, &steps, &middles, triangles, numbers)
+        piece_or_halves(surface, &steps, &middles, &triangles, numbers)
     });
     nested.flatten_iter().collect()
 }
@@ -74,14 +74,14 @@ fn divide(triangles: Vec<u32>, middles: &[IVec3]) -> Vec<Vec<u32>> {
             vec![triangles]
         };
     }
-    let [left, right] = halves(triangles, middles);
+    let [left, right] = halves(&triangles, middles);
     let (mut left, right) = rayon::join(|| divide(left, middles), || divide(right, middles));
     left.extend(right);
     left
 }
 
 /// Both halves of a group, each in the order that it was in.
-fn halves(triangles: Vec<u32>, middles: &[IVec3]) -> [Vec<u32>; 2] {
+fn halves(triangles: &[u32], middles: &[IVec3]) -> [Vec<u32>; 2] {
     let places = || triangles.iter().map(|&t| middles[t as usize]);
     let low = places().reduce(IVec3::min).unwrap_or_default();
     let high = places().reduce(IVec3::max).unwrap_or_default();
@@ -104,10 +104,10 @@ fn piece_or_halves(
     surface: &Surface<'_>,
     steps: &[IVec3],
     middles: &[IVec3],
-    triangles: Vec<u32>,
+    triangles: &[u32],
     numbers: &mut [u32],
 ) -> Vec<Piece> {
-    if let Some(piece) = piece(surface, steps, &triangles, numbers) {
+    if let Some(piece) = piece(surface, steps, triangles, numbers) {
         return vec![piece];
     }
     if triangles.len() < 2 {
@@ -115,7 +115,7 @@ fn piece_or_halves(
     }
     let mut all = Vec::new();
     for half in halves(triangles, middles) {
-        all.extend(piece_or_halves(surface, steps, middles, half, numbers));
+        all.extend(piece_or_halves(surface, steps, middles, &half, numbers));
     }
     all
 }

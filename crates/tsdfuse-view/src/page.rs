@@ -121,7 +121,7 @@ fn write_all(path: &Path, scene: &Scene, surface: &Surface<'_>, original: Option
 
 /// The page of a live view, which is told all but its title later; or of tiles.
 #[cfg(feature = "live")]
-pub(crate) fn live(title: &str, tiles: Option<String>) -> io::Result<Vec<u8>> {
+pub(crate) fn live(title: &str, tiles: Option<&str>) -> io::Result<Vec<u8>> {
     let scene = serde_json::json!({
         "title": title, "live": true, "tiles": tiles, "origin": [0, 0, 0], "step": 1e-3, "heights": [0, 1], "colored": false, "channels": [],
     });

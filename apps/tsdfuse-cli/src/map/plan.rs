@@ -135,7 +135,7 @@ fn told(raster: &Raster, outputs: &[&Path]) -> Outcome {
 /// What lies behind a surface is occupied, as the surface itself.
 fn occupancy(slice: &Raster) -> OccupancyGrid {
     let half = (slice.cell_m / 2.0) as f32;
-    let cost = |&distance: &f32| (!distance.is_nan()).then(|| if distance > half { 0 } else { 100 });
+    let cost = |&distance: &f32| (!distance.is_nan()).then_some(if distance > half { 0 } else { 100 });
     OccupancyGrid {
         origin: slice.low,
         cell_m: slice.cell_m,

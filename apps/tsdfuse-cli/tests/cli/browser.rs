@@ -99,25 +99,25 @@ impl Browser {
             errors: Vec::new(),
             requests: Vec::new(),
         };
-        let target = browser.call("Target.createTarget", json!({ "url": "about:blank" }));
+        let target = browser.call("Target.createTarget", &json!({ "url": "about:blank" }));
         let session = browser.call(
             "Target.attachToTarget",
-            json!({ "targetId": target["targetId"], "flatten": true }),
+            &json!({ "targetId": target["targetId"], "flatten": true }),
         );
         browser.session = session["sessionId"].as_str().unwrap().to_owned();
         for domain in ["Page", "Runtime", "Log", "Network"] {
-            browser.call(&format!("{domain}.enable"), json!({}));
+            browser.call(&format!("{domain}.enable"), &json!({}));
         }
         let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
-        browser.call("Emulation.setDeviceMetricsOverride", metrics);
-        browser.call("Page.navigate", json!({ "url": url }));
+        browser.call("Emulation.setDeviceMetricsOverride", &metrics);
+        browser.call("Page.navigate", &json!({ "url": url }));
         browser.wait("typeof tsdfuse !== 'undefined' && !!tsdfuse.ready");
         browser.eval("tsdfuse.ready.then(() => true)");
         browser
     }
 
     /// Calls a method of the protocol, and notes what happens meanwhile.
-    pub(crate) fn call(&mut self, method: &str, parameters: Value) -> Value {
+    pub(crate) fn call(&mut self, method: &str, parameters: &Value) -> Value {
         self.calls += 1;
         let mut call = json!({ "id": self.calls, "method": method, "params": parameters });
         if !self.session.is_empty() {
@@ -159,7 +159,7 @@ impl Browser {
     /// The value of an expression, waited for if it is a promise.
     pub(crate) fn eval(&mut self, expression: &str) -> Value {
         let parameters = json!({ "expression": expression, "awaitPromise": true, "returnByValue": true });
-        let result = self.call("Runtime.evaluate", parameters);
+        let result = self.call("Runtime.evaluate", &parameters);
         assert!(
             result["exceptionDetails"].is_null(),
             "{expression}: {}",
@@ -186,7 +186,7 @@ impl Browser {
     /// What is seen once all is drawn.
     pub(crate) fn shot(&mut self) -> Shot {
         self.eval("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))");
-        let png = self.call("Page.captureScreenshot", json!({ "format": "png" }));
+        let png = self.call("Page.captureScreenshot", &json!({ "format": "png" }));
         let png = base64::engine::general_purpose::STANDARD
             .decode(png["data"].as_str().unwrap())
             .unwrap();
@@ -212,19 +212,19 @@ impl Browser {
     pub(crate) fn hold(&mut self, code: &str, until: &str) {
         self.call(
             "Input.dispatchKeyEvent",
-            json!({ "type": "rawKeyDown", "code": code, "key": code }),
+            &json!({ "type": "rawKeyDown", "code": code, "key": code }),
         );
         self.wait(until);
         self.call(
             "Input.dispatchKeyEvent",
-            json!({ "type": "keyUp", "code": code, "key": code }),
+            &json!({ "type": "keyUp", "code": code, "key": code }),
         );
     }
 
     pub(crate) fn click(&mut self, [x, y]: [usize; 2]) {
         for kind in ["mousePressed", "mouseReleased"] {
             let event = json!({ "type": kind, "x": x, "y": y, "button": "left", "buttons": 1, "clickCount": 1 });
-            self.call("Input.dispatchMouseEvent", event);
+            self.call("Input.dispatchMouseEvent", &event);
         }
     }
 
@@ -239,18 +239,18 @@ impl Browser {
         };
         self.call(
             "Input.dispatchTouchEvent",
-            json!({ "type": "touchStart", "touchPoints": points(0.0) }),
+            &json!({ "type": "touchStart", "touchPoints": points(0.0) }),
         );
         for step in 1..=5 {
             let points = points(f64::from(step) / 5.0);
             self.call(
                 "Input.dispatchTouchEvent",
-                json!({ "type": "touchMove", "touchPoints": points }),
+                &json!({ "type": "touchMove", "touchPoints": points }),
             );
         }
         self.call(
             "Input.dispatchTouchEvent",
-            json!({ "type": "touchEnd", "touchPoints": [] }),
+            &json!({ "type": "touchEnd", "touchPoints": [] }),
         );
     }
 }

@@ -22,7 +22,8 @@ impl Serving {
             lines.push(line.ok()?);
             Some(lines.last()?.trim().strip_prefix("view ")?.trim().to_owned())
         });
-        let url = url.unwrap_or_else(|| panic!("no URL in {lines:?}"));
+        assert!(url.is_some(), "no URL in {lines:?}");
+        let url = url.unwrap();
         Self { process, url, told }
     }
 

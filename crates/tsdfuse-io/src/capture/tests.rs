@@ -271,7 +271,8 @@ fn poses_are_taken_on_either_clock() {
 #[test]
 fn a_split_capture_is_one() {
     let frames = turns([10, 0, 0, 5], 2368, 0);
-    let kinds: [fn(&[(i64, Vec<u8>)]) -> Vec<u8>; 2] = [pcap, |frames| pcapng(frames, false)];
+    type Container = fn(&[(i64, Vec<u8>)]) -> Vec<u8>;
+    let kinds: [Container; 2] = [pcap, |frames| pcapng(frames, false)];
     for write in kinds {
         let (_whole, path) = written(&write(&frames));
         let whole = opened(&path);

@@ -71,7 +71,7 @@ impl Server {
             http,
             address,
             token: token()?,
-            page: page::live(title, tiles)?,
+            page: page::live(title, tiles.as_deref())?,
             shared,
             viewers: AtomicUsize::new(0),
             tileset,
@@ -81,7 +81,7 @@ impl Server {
             answering
                 .http
                 .incoming_requests()
-                .for_each(|request| answer(&answering, request))
+                .for_each(|request| answer(&answering, request));
         })?;
         Ok(Self {
             inner,
