@@ -136,6 +136,8 @@ impl State {
     pub(super) fn new(title: &str) -> Self {
         let mut state = Self::default();
         state.scene.1.title = title.to_owned();
+        // Whoever comes first is told the title at once.
+        (state.changes, state.scene.0) = (1, 1);
         state
     }
 

@@ -150,7 +150,7 @@ mod tests {
             [at(10, 50), at(500, 10), at(500, 90), at(500, 49)],
             [UNKNOWN, BEHIND, FREE, SURFACE]
         );
-        let bar = (0..600).filter(|&x| at(x, 100 + STRIP - 10) == SURFACE).count();
+        let bar = (0..214).filter(|&x| at(x, 100 + STRIP - 10) == SURFACE).count();
         assert_eq!(bar, 200); // 20 m
         // Written beside it: 20 m.
         let ink = (218..270)
