@@ -14,7 +14,7 @@ pub fn by_distance(mesh: &Mesh, reference: &Reference, max_error_m: f64) -> Vec<
         .collect()
 }
 
-/// Whether [`write`] can write to such a file: `.ply`, `.glb` or `.html`.
+/// Whether [`write()`] can write to such a file: `.ply`, `.glb` or `.html`.
 ///
 /// # Errors
 /// Names the file and what is possible.

@@ -1,8 +1,8 @@
 //! Pose files, and which pose belongs to which scan.
 //!
 //! Files are told apart by their content: **KITTI** (lines of 12 numbers, the row-major 3×4 matrix `[R | t]`), the same with a time
-//! in front (13 numbers), **TUM** (8 numbers, `secs x y z qx qy qz qw`; also with ms, µs or ns since 1970), a [table](table) whose
-//! first line names its columns, and pose graphs of [g2o]. Blank lines and lines that start with `#` are skipped.
+//! in front (13 numbers), **TUM** (8 numbers, `secs x y z qx qy qz qw`; also with ms, µs or ns since 1970), a table whose
+//! first line names its columns, and pose graphs of g2o. Blank lines and lines that start with `#` are skipped.
 //!
 //! Which pose belongs to which scan:
 //!

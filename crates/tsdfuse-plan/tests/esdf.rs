@@ -245,8 +245,8 @@ proptest! {
         here.for_each(|voxel, distance| {
             voxels += 1;
             let same = there.distance_m(voxel + offset).unwrap_or(f32::NAN);
-            // Vertices far from the origin are rounded otherwise, and one step is 1/16 of a voxel.
-            assert!((same - distance).abs() < 0.25 / 8.0, "{voxel} {distance} {same}");
+            // Vertices far from the origin are rounded otherwise, so others may stand for the surface: half a voxel is what distances promise.
+            assert!((same - distance).abs() < 0.25 / 2.0, "{voxel} {distance} {same}");
         });
         prop_assert!(voxels > 1000);
     }

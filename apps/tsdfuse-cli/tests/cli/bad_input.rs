@@ -195,7 +195,7 @@ fn wrong_arguments_and_settings_are_named_with_what_is_possible() {
     assert!(line.contains("standard output"), "{line}");
     let line = tsdfuse(&["fuse", &set]).failed(2);
     assert!(
-        line.contains("<--output <FILE>|--save-map <FILE>|--preview <FILE>|--store <FILE>>"),
+        line.contains("<--output <FILE>|--save-map <FILE>|--preview <FILE>|--store <FILE>"),
         "{line}"
     );
 }
