@@ -124,8 +124,17 @@ fn meshes_maps_and_tiles_are_viewed() {
         if path.ends_with(".json") {
             browser.wait("tsdfuse.state().tiles > 0");
         } else {
-            browser.wait("tsdfuse.state().triangles > 0 && tsdfuse.state().status === ''");
-            counts.push(browser.state()["triangles"].clone());
+            // Pieces come in several messages.
+            match counts.first() {
+                Some(count) => browser.wait(&format!("tsdfuse.state().triangles === {count}")),
+                None => browser.wait("tsdfuse.state().triangles > 0 && tsdfuse.state().status === ''"),
+            }
+            let mut count = serde_json::Value::Null;
+            while count != browser.state()["triangles"] {
+                count = browser.state()["triangles"].clone();
+                std::thread::sleep(std::time::Duration::from_secs(2));
+            }
+            counts.push(count);
         }
         browser.key("Digit2");
         let shot = browser.shot();

@@ -216,7 +216,7 @@ mod tests {
             );
             let expected = eigen(&covariance);
             let [l3, l2, l1] = expected.values;
-            prop_assume!(l2 > 1.1 * l3 && l2 > 1e-3);
+            prop_assume!(l2 > 1.1 * l3 && l2 > 1e-3 && l2 - l3 > 1e-2 * l1); // else f32 does not tell e₃ from e₂
             let vertex = center + DVec3::from(off);
             let (normal, distance) = plane_of(&m, vertex, ANY).unwrap();
             let e3 = expected.vectors[0];
