@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use clap::ValueEnum;
 use tsdfuse::Scan;
 use tsdfuse_io::plain::{self, Layout};
-use tsdfuse_io::{ReadScan, Selection, Sensor, ros};
+use tsdfuse_io::{Log, ReadScan, Selection, Sensor, ros};
 use tsdfuse_run::{Input, Settings, check_outputs};
 
 use crate::args::SensorArgs;
@@ -105,6 +105,23 @@ impl Writer {
         }
     }
 
+    /// Writes the samples of the log's inertial measurement unit, if there are any.
+    fn write_imu(&mut self, log: &Log) -> tsdfuse_io::Result<()> {
+        let mut samples = log.imu()?;
+        let Some(sensor) = log.sensors().first().filter(|_| !samples.is_empty()) else {
+            return Ok(());
+        };
+        let sensor_from_body = sensor.body_from_sensor.rotation.inverse();
+        for sample in &mut samples {
+            sample.angular_velocity = sensor_from_body * sample.angular_velocity;
+            sample.acceleration = sensor_from_body * sample.acceleration;
+        }
+        match self {
+            Self::Folder(writer) => writer.write_imu(&samples),
+            Self::Mcap(writer) => writer.write_imu(&samples),
+        }
+    }
+
     fn finish(self) -> tsdfuse_io::Result<()> {
         match self {
             Self::Folder(writer) => writer.finish(),
@@ -148,6 +165,9 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         }
     }
     drop(bar);
+    if !matches!(args.format, Format::Kitti) || matches!(writer, Writer::Mcap(_)) {
+        writer.write_imu(&log)?;
+    }
     writer.finish()?;
     say(format_args!("{written} scans in {}", args.output.display()));
     Ok(if skipped > 0 || stop.is_stopped() {

@@ -134,7 +134,7 @@ impl Survey {
                 let is_imu = |sender: &&mut Sender| {
                     sender.model == Model::Ouster
                         && sender.flow.source == datagram.flow.source
-                        && datagram.payload.len() == 48
+                        && !sender.decoder.imu(datagram.payload).is_empty()
                 };
                 match senders.iter_mut().find(is_imu) {
                     Some(sender) => sender.imu_packets += 1,

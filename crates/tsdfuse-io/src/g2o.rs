@@ -1,7 +1,8 @@
 //! Pose graphs as g2o text (Kümmerle et al., ICRA 2011): the 3-D poses in it, and what was measured between them.
 //!
 //! `VERTEX_SE3:QUAT id x y z qx qy qz qw` is a pose, `EDGE_SE3:QUAT id id x y z qx qy qz qw` with the 21 numbers of the upper triangle of an
-//! information matrix a measurement. `FIX` is skipped; other tags are an error, for a graph without them would be another one.
+//! information matrix a measurement. `FIX` is skipped; other tags are an error, for a graph without them would be another one. Where only
+//! poses are wanted ([`poses::read`](crate::poses::read)), measurements are passed over, and `VERTEX_SE2 id x y yaw` is a pose, too.
 
 use std::io::Write;
 use std::path::Path;
@@ -55,11 +56,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Graph> {
     for line in text::lines(path, bytes)? {
         let words: Vec<&str> = line.words().collect();
         match words.as_slice() {
-            ["VERTEX_SE3:QUAT", id, rest @ ..] if rest.len() == 7 => {
-                graph
-                    .nodes
-                    .push((number(&line, id)?, pose(&line, &numbers(&line, rest)?)?));
-            }
+            ["VERTEX_SE3:QUAT", id, rest @ ..] => graph.nodes.push((number(&line, id)?, in_space(&line, rest)?)),
             ["EDGE_SE3:QUAT", from, to, rest @ ..] if rest.len() == 28 => {
                 let values: Vec<f64> = numbers(&line, rest)?;
                 let information = values[7..].try_into().unwrap_or([0.0; 21]);
@@ -73,9 +70,8 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Graph> {
                     information,
                 });
             }
-            [tag @ ("VERTEX_SE3:QUAT" | "EDGE_SE3:QUAT"), rest @ ..] => {
-                let wanted = if *tag == "VERTEX_SE3:QUAT" { 8 } else { 30 };
-                return Err(line.error(format!("{} numbers where {tag} has {wanted}", rest.len())));
+            [tag @ "EDGE_SE3:QUAT", rest @ ..] => {
+                return Err(line.error(format!("{} numbers where {tag} has 30", rest.len())));
             }
             ["FIX", ..] => {}
             [tag, ..] => return Err(line.error(format!("{tag:?} is no pose in space and no measurement between two"))),
@@ -86,6 +82,52 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Graph> {
         return Err(Error::format(path, "holds no poses"));
     }
     Ok(graph)
+}
+
+/// Whether the first line that holds something is one of a pose graph.
+pub(crate) fn recognises(bytes: &[u8]) -> bool {
+    let mut lines = bytes.split(|b| *b == b'\n').map(<[u8]>::trim_ascii);
+    let first = lines.find(|line| !line.is_empty() && !line.starts_with(b"#"));
+    first.is_some_and(|line| [&b"VERTEX_"[..], b"EDGE_"].iter().any(|word| line.starts_with(word)))
+}
+
+/// The poses of a graph, in space or in a plane, in the order of their numbers.
+///
+/// # Errors
+/// Names the file, the line and the reason.
+pub(crate) fn poses(path: &Path, bytes: &[u8]) -> Result<Vec<Pose>> {
+    let mut nodes: Vec<(u64, Pose)> = Vec::new();
+    for line in text::lines(path, bytes)? {
+        let words: Vec<&str> = line.words().collect();
+        match words.as_slice() {
+            ["VERTEX_SE3:QUAT", id, rest @ ..] => nodes.push((number(&line, id)?, in_space(&line, rest)?)),
+            ["VERTEX_SE2", id, rest @ ..] => nodes.push((number(&line, id)?, in_plane(&line, rest)?)),
+            _ => {}
+        }
+    }
+    nodes.sort_by_key(|(id, _)| *id);
+    if let Some([(id, _), _]) = nodes.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+        return Err(Error::format(path, format!("has pose {id} twice")));
+    }
+    if nodes.is_empty() {
+        let reason = "holds no poses: it has no VERTEX_SE3:QUAT and no VERTEX_SE2";
+        return Err(Error::format(path, reason));
+    }
+    Ok(nodes.into_iter().map(|(_, pose)| pose).collect())
+}
+
+fn in_space(line: &Line, words: &[&str]) -> Result<Pose> {
+    if words.len() != 7 {
+        return Err(line.error(format!("{} numbers where VERTEX_SE3:QUAT has 8", words.len() + 1)));
+    }
+    pose(line, &numbers(line, words)?)
+}
+
+fn in_plane(line: &Line, words: &[&str]) -> Result<Pose> {
+    let &[x, y, yaw] = numbers(line, words)?.as_slice() else {
+        return Err(line.error(format!("{} numbers where VERTEX_SE2 has 4", words.len() + 1)));
+    };
+    Pose::new(DQuat::from_rotation_z(yaw), DVec3::new(x, y, 0.0)).map_err(|e| line.error(e))
 }
 
 fn number(line: &Line, word: &str) -> Result<u64> {
@@ -173,6 +215,39 @@ mod tests {
         for ((a, own), (b, want)) in back.nodes.iter().zip(&graph().nodes) {
             assert_eq!((a, own.translation), (b, want.translation));
             assert!(own.rotation.angle_between(want.rotation) < 1e-7);
+        }
+    }
+
+    #[test]
+    fn vertices_are_poses_in_the_order_of_their_numbers() {
+        let text = "# a graph\nVERTEX_SE3:QUAT 7 1 2 3 0 0 0.6 0.8\nFIX 7\nVERTEX_SE3:QUAT 2 0 0 1 0 0 0 1\n\
+             EDGE_SE3:QUAT 2 7 1 2 2 0 0 0 1 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\nVERTEX_SE2 9 4 5 1.5\n";
+        assert!(recognises(text.as_bytes()) && !recognises(b"# a graph\n1 2 3"));
+        let poses = poses(Path::new("a.g2o"), text.as_bytes()).unwrap();
+        let at: Vec<_> = poses.iter().map(|pose| pose.translation.to_array()).collect();
+        assert_eq!(at, [[0.0, 0.0, 1.0], [1.0, 2.0, 3.0], [4.0, 5.0, 0.0]]);
+        assert!((poses[2].rotation.to_scaled_axis().z - 1.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_no_pose_is_named() {
+        for (text, wanted) in [
+            (
+                "VERTEX_SE3:QUAT x 1 2 3 0 0 0 1",
+                "line 1: \"x\" is not the number of a pose",
+            ),
+            (
+                "VERTEX_SE3:QUAT 1 1 2 3 0 0 0",
+                "line 1: 7 numbers where VERTEX_SE3:QUAT has 8",
+            ),
+            ("VERTEX_SE3:QUAT 1 1 2 3 0 0 0 0", "line 1: "),
+            ("VERTEX_SE2 1 1 2 x", "line 1: \"x\" is not a number"),
+            ("VERTEX_SE2 1 1 2", "line 1: 3 numbers where VERTEX_SE2 has 4"),
+            ("VERTEX_SE2 1 1 2 3\nVERTEX_SE2 1 1 2 3", "has pose 1 twice"),
+            ("EDGE_SE2 1 2 3", "holds no poses"),
+        ] {
+            let message = poses(Path::new("a.g2o"), text.as_bytes()).unwrap_err().to_string();
+            assert!(message.contains(wanted), "{message}");
         }
     }
 

@@ -22,9 +22,10 @@ use tsdfuse::{Pose, Trajectory};
 
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
+use crate::g2o;
 use crate::text::{self, Line};
 
-mod g2o;
+mod geodesy;
 mod table;
 mod write;
 
@@ -98,7 +99,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Poses> {
         return header.parse(path, bytes);
     }
     if g2o::recognises(bytes) {
-        return g2o::parse(path, bytes);
+        return g2o::poses(path, bytes).map(Poses::Listed);
     }
     let mut listed = Vec::new();
     let mut timed: Vec<(i64, Pose)> = Vec::new();

@@ -37,9 +37,9 @@ pub(crate) trait Packets: Send + Sync {
     /// What is odd, one sentence each.
     fn notes(&self) -> Vec<String>;
 
-    /// A sample of the inertial measurement unit, where a packet is one.
-    fn imu(&self, _payload: &[u8]) -> Option<ImuSample> {
-        None
+    /// Samples of the inertial measurement unit, where a packet has some.
+    fn imu(&self, _payload: &[u8]) -> Vec<ImuSample> {
+        Vec::new()
     }
 }
 
@@ -200,8 +200,8 @@ impl Decoder {
         self.packets.notes()
     }
 
-    /// A sample of the sensor's inertial measurement unit, if the packet is one: in its own packets, as Ouster sends them.
-    pub fn imu(&self, payload: &[u8]) -> Option<ImuSample> {
+    /// Samples of the sensor's inertial measurement unit, if the packet has some: in its own packets, as Ouster sends them.
+    pub fn imu(&self, payload: &[u8]) -> Vec<ImuSample> {
         self.packets.imu(payload)
     }
 

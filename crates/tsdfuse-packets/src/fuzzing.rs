@@ -28,7 +28,7 @@ fn decoders() -> impl Iterator<Item = Decoder> {
         let zeros = "0,".repeat(15) + "0";
         let json = format!(
             "{{\"beam_altitude_angles\":[{zeros}],\"beam_azimuth_angles\":[{zeros}],\"lidar_mode\":\"1024x10\",\
-             \"udp_profile_lidar\":\"{profile}\"}}"
+             \"udp_profile_imu\":\"ACCEL32_GYRO32_NMEA\",\"imu_measurements_per_packet\":8,\"udp_profile_lidar\":\"{profile}\"}}"
         );
         (Sensor::Ouster, Calibration::parse(json.as_bytes()).unwrap_or_default())
     });
@@ -50,6 +50,7 @@ pub fn packets(bytes: &[u8]) {
             sweeps.extend(decoder.push(received_ns, bytes).ok().flatten());
         }
         sweeps.extend(decoder.finish());
+        assert!(decoder.imu(bytes).len() <= bytes.len() / 36, "no more than was there");
         for sweep in sweeps {
             assert!(sweep.scan.check().is_ok(), "columns fit together");
             assert!(sweep.scan.points.len() <= 4 * bytes.len(), "no more than was there");

@@ -4,28 +4,26 @@
 //! the beam leaves the lens, not in the axis. Against the SDK's output, this is tested.
 
 mod beams;
+mod imu;
 mod metadata;
 mod profile;
 
 use std::ops::Range;
 
-use tsdfuse::glam::DVec3;
 use tsdfuse::{ImuSample, SensorModel};
 
 pub use beams::Beams;
 pub use metadata::Metadata;
 use profile::Profile;
 
-use crate::bytes::{f32_at, u8_at, u16_at, u32_at, u64_at};
+use crate::bytes::{u8_at, u16_at, u32_at, u64_at};
 use crate::decoder::{Head, Packets};
 use crate::error::{PacketError, Result};
 use crate::returns::Returns;
 use crate::sensor::Sensor;
 
-/// Bytes of a packet of the inertial measurement unit.
-const IMU: usize = 48;
-/// m/s² of what the sensor counts as 1 g.
-const GRAVITY: f64 = 9.806_65;
+/// The kind of a packet that holds returns, in its first byte; others are those of the inertial measurement unit and of zones.
+const RETURNS: u8 = 1;
 
 /// Whether this looks like a packet of an Ouster; which one and how it is laid out, only its metadata say.
 pub(crate) fn recognise(payload: &[u8]) -> Option<Sensor> {
@@ -46,7 +44,7 @@ pub(crate) fn recognise(payload: &[u8]) -> Option<Sensor> {
                 .find(|height| [4, 8, 12, 16, 20].map(|unit| unit * height).contains(&pixels))
         };
         payload.len() > 64
-            && u8_at(payload, 0) == 1
+            && u8_at(payload, 0) == RETURNS
             && [16, 8, 4, 2, 1].into_iter().any(|columns| column(columns).is_some())
     };
     (is_legacy() || is_later()).then_some(Sensor::Ouster)
@@ -86,7 +84,7 @@ impl Ouster {
             }
             _ => return Err(PacketError::calibration("the calibration is not for an Ouster")),
         };
-        let profile = Profile::named(&metadata.profile)?;
+        let profile = Profile::of(&metadata)?;
         Ok(Self {
             rings: rings(&metadata),
             beams: Beams::new(&metadata),
@@ -115,7 +113,7 @@ fn places(metadata: &Metadata, profile: &Profile) -> Places {
 impl Metadata {
     /// Whether a packet can be of this sensor: as long as its packets are, and with its serial number, where packets have it.
     pub fn fits(&self, payload: &[u8]) -> bool {
-        let Ok(profile) = Profile::named(&self.profile) else {
+        let Ok(profile) = Profile::of(self) else {
             return false;
         };
         let serial = || {
@@ -129,7 +127,8 @@ impl Metadata {
 
 impl Packets for Ouster {
     fn head(&mut self, _near_ns: i64, payload: &[u8]) -> Result<Option<Head>> {
-        if payload.len() == IMU {
+        let is_other = !self.profile.is_legacy && (2..=3).contains(&u8_at(payload, 0));
+        if is_other || self.metadata.imu.fits(payload) {
             return Ok(None);
         }
         let places = self.places();
@@ -220,21 +219,8 @@ impl Packets for Ouster {
         self.metadata.notes.clone()
     }
 
-    fn imu(&self, payload: &[u8]) -> Option<ImuSample> {
-        if payload.len() != IMU {
-            return None;
-        }
-        let vector = |at: usize| DVec3::from_array([at, at + 4, at + 8].map(|at| f64::from(f32_at(payload, at))));
-        let (acceleration, rate_deg) = (vector(24) * GRAVITY, vector(36));
-        let turn = self.metadata.sensor_from_imu;
-        let sample = ImuSample {
-            // Those of the gyroscope; accelerations are measured within half a millisecond.
-            time_ns: i64::try_from(u64_at(payload, 16)).ok()?,
-            angular_velocity: turn * rate_deg.map(f64::to_radians),
-            acceleration: turn * acceleration,
-            orientation: None,
-        };
-        (sample.angular_velocity.is_finite() && sample.acceleration.is_finite()).then_some(sample)
+    fn imu(&self, payload: &[u8]) -> Vec<ImuSample> {
+        self.metadata.imu.samples(payload, &self.metadata.sensor_from_imu)
     }
 }
 

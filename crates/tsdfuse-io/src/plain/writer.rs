@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use tsdfuse::{Pose, Scan, SensorModel};
 
 use crate::error::{Error, Result};
+use crate::source::ImuSample;
+use crate::text;
 
 /// How the scans of a folder lie in it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -111,6 +113,27 @@ impl Writer {
         fs::write(&path, text).map_err(Error::io(&path))
     }
 
+    /// Writes what an inertial measurement unit measured, in the sensor's frame and in order of time; of two samples at one time, the
+    /// first.
+    ///
+    /// # Errors
+    /// Names the file and what the system says.
+    pub fn write_imu(&mut self, samples: &[ImuSample]) -> Result<()> {
+        let mut text = "t,gx,gy,gz,ax,ay,az\n".to_owned();
+        let mut last = i64::MIN;
+        for sample in samples {
+            if sample.time_ns <= last {
+                continue;
+            }
+            last = sample.time_ns;
+            let (g, a) = (sample.angular_velocity, sample.acceleration);
+            let time = text::seconds(sample.time_ns);
+            text += &format!("{time},{},{},{},{},{},{}\n", g.x, g.y, g.z, a.x, a.y, a.z);
+        }
+        let path = self.folder.join("imu.csv");
+        fs::write(&path, text).map_err(Error::io(&path))
+    }
+
     /// Writes the next scan. Either all scans have a time or none, and the same holds for poses.
     ///
     /// # Errors
@@ -207,7 +230,7 @@ impl Writer {
             }
         }
         match (&mut self.secs, scan.time_ns) {
-            (Some(file), Some(ns)) => writeln!(file, "{}", seconds(ns)).map_err(Error::io(path)),
+            (Some(file), Some(ns)) => writeln!(file, "{}", text::seconds(ns)).map_err(Error::io(path)),
             _ => Ok(()),
         }
     }
@@ -215,13 +238,6 @@ impl Writer {
 
 fn create(path: &Path) -> Result<BufWriter<File>> {
     File::create(path).map(BufWriter::new).map_err(Error::io(path))
-}
-
-/// Nanoseconds as seconds, with as many decimals as they have.
-fn seconds(ns: i64) -> String {
-    let (sign, ns) = (if ns < 0 { "-" } else { "" }, ns.unsigned_abs());
-    let text = format!("{sign}{}.{:09}", ns / 1_000_000_000, ns % 1_000_000_000);
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 /// The 12 numbers of a pose, each with as many digits as it takes to read the same number.

@@ -6,14 +6,25 @@
 //! | position | `x` `y` `z`, also `tx`, `px`, `p_x`, `pos_x`, `position.x`, `p_RS_R_x [m]`, … |
 //! | orientation | `qx` `qy` `qz` `qw`, also `q_x`, `orientation.x`, `q_RS_x []`, …; or `roll` `pitch` `yaw` (radians, or degrees if `deg` is in the name) |
 //!
-//! Other columns are passed over.
+//! And as inertial navigation systems write them:
+//!
+//! | column | names |
+//! |---|---|
+//! | time | also `GPSTime`, `gps_seconds` |
+//! | position | `latitude` `longitude` (degrees) `altitude` or `height` (metres above the ellipsoid); or `easting` `northing` `height` (metres) |
+//! | orientation | `roll` `pitch` `heading` (or `azimuth`); degrees, unless `rad` is in a name: right side down, nose up, clockwise from north |
+//!
+//! The body then has x forward, y left and z up, and the world x east, y north and z up; of latitudes and longitudes, the first one is
+//! its origin. Other columns are passed over.
 
+use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 
 use tsdfuse::glam::{DQuat, DVec3};
 use tsdfuse::{Pose, Trajectory};
 
 use super::Poses;
+use super::geodesy::Geographic;
 use crate::error::{Error, Result};
 use crate::text::{self, Line};
 
@@ -41,7 +52,8 @@ const OTHERS: [&str; 20] = [
     "gravity",
 ];
 const QUATERNION: [&str; 5] = ["q", "quat", "quaternion", "orientation", "rotation"];
-const TIME: [&str; 9] = [
+const TIME: [&str; 10] = [
+    "gpstime",
     "time",
     "timestamp",
     "timestamps",
@@ -52,6 +64,12 @@ const TIME: [&str; 9] = [
     "secs",
     "seconds",
 ];
+const LATITUDE: [&str; 2] = ["latitude", "lat"];
+const LONGITUDE: [&str; 4] = ["longitude", "lon", "long", "lng"];
+const HEIGHT: [&str; 6] = ["altitude", "alt", "height", "hgt", "h", "up"];
+const EASTING: [&str; 2] = ["easting", "east"];
+const NORTHING: [&str; 2] = ["northing", "north"];
+const HEADING: [&str; 2] = ["heading", "azimuth"];
 const NANOSECONDS: [&str; 4] = ["nsec", "nsecs", "nanosec", "nanoseconds"];
 
 /// Where the columns of a table are.
@@ -61,6 +79,8 @@ pub(super) struct Header {
     time: Option<usize>,
     nanoseconds: Option<usize>,
     position: [usize; 3],
+    /// Whether the position is latitude, longitude and height.
+    is_geographic: bool,
     rotation: Rotation,
 }
 
@@ -69,6 +89,8 @@ enum Rotation {
     Quaternion([usize; 4]),
     /// Roll, pitch, yaw, and what a unit of theirs is in radians.
     Angles([usize; 3], f64),
+    /// Roll, pitch and heading of an inertial navigation system, and their unit.
+    Heading([usize; 3], f64),
 }
 
 impl Header {
@@ -115,9 +137,30 @@ impl Header {
                 angle("yaw").or_else(|| angle("heading"))?,
             ])
         };
-        let rotation = match all(&["x", "y", "z", "w"], true) {
-            Some(found) => Rotation::Quaternion(found.try_into().ok()?),
-            None => {
+        let named = |all: &[&str]| {
+            first(&|name: &[String]| {
+                let name = match name {
+                    [before @ .., unit] if !before.is_empty() && ["deg", "rad"].contains(&unit.as_str()) => before,
+                    name => name,
+                };
+                ends(name, all) && !has(name, &OTHERS)
+            })
+        };
+        let of_ins = |across: &[&str], along: &[&str]| Some([named(across)?, named(along)?, named(&HEIGHT)?]);
+        let geographic = of_ins(&LATITUDE, &LONGITUDE);
+        let surveyed = geographic.or_else(|| of_ins(&EASTING, &NORTHING));
+        let heading = || Some([named(&["roll"])?, named(&["pitch"])?, named(&HEADING)?]);
+        let rotation = match (all(&["x", "y", "z", "w"], true), surveyed.and_then(|_| heading())) {
+            (Some(found), _) => Rotation::Quaternion(found.try_into().ok()?),
+            (None, Some(angles)) => {
+                let is_radians = |&column: &usize| {
+                    let name = line.split(separator).nth(column).unwrap_or_default();
+                    name.to_ascii_lowercase().contains("rad")
+                };
+                let is_radians = angles.iter().any(is_radians);
+                Rotation::Heading(angles, if is_radians { 1.0 } else { 1f64.to_radians() })
+            }
+            (None, None) => {
                 let angles = angles()?;
                 let is_degrees = line.to_ascii_lowercase().contains("deg");
                 Rotation::Angles(angles, if is_degrees { 1f64.to_radians() } else { 1.0 })
@@ -127,7 +170,11 @@ impl Header {
             separator,
             time: first(&|name| ends(name, &TIME)),
             nanoseconds: first(&|name| ends(name, &NANOSECONDS)),
-            position: all(&["x", "y", "z"], false)?.try_into().ok()?,
+            position: match surveyed {
+                Some(position) => position,
+                None => all(&["x", "y", "z"], false)?.try_into().ok()?,
+            },
+            is_geographic: geographic.is_some(),
             rotation,
         })
     }
@@ -135,11 +182,12 @@ impl Header {
     /// Reads the lines after the header.
     pub(super) fn parse(&self, path: &Path, bytes: &[u8]) -> Result<Poses> {
         let (mut timed, mut listed): (Vec<(i64, Pose)>, Vec<Pose>) = (Vec::new(), Vec::new());
+        let mut origin = None;
         // A header that is a comment is no line.
         let lines = text::lines(path, bytes)?.skip_while(|line| line.number == 1);
         for line in lines {
             let cells: Vec<&str> = line.text.split(self.separator).map(str::trim).collect();
-            let pose = self.pose(&line, &cells)?;
+            let pose = self.pose(&line, &cells, &mut origin)?;
             match self.time_ns(&line, &cells)? {
                 Some(time_ns) => {
                     if timed.last().is_some_and(|&(last, _)| last >= time_ns) {
@@ -171,7 +219,8 @@ impl Header {
         time_ns.checked_add(rest).map(Some).ok_or_else(|| wrong(cell(column)))
     }
 
-    fn pose(&self, line: &Line, cells: &[&str]) -> Result<Pose> {
+    /// The pose of a line; `origin` is where the first one was, on the earth.
+    fn pose(&self, line: &Line, cells: &[&str], origin: &mut Option<Geographic>) -> Result<Pose> {
         let number = |column: usize| {
             let cell = cells.get(column).copied();
             let cell = cell.ok_or_else(|| line.error(format!("has {} columns, fewer than the header", cells.len())))?;
@@ -186,8 +235,30 @@ impl Header {
                 let [roll, pitch, yaw] = [number(roll)? * unit, number(pitch)? * unit, number(yaw)? * unit];
                 DQuat::from_rotation_z(yaw) * DQuat::from_rotation_y(pitch) * DQuat::from_rotation_x(roll)
             }
+            Rotation::Heading([roll, pitch, heading], unit) => {
+                let [roll, pitch, heading] = [number(roll)? * unit, number(pitch)? * unit, number(heading)? * unit];
+                DQuat::from_rotation_z(FRAC_PI_2 - heading)
+                    * DQuat::from_rotation_y(-pitch)
+                    * DQuat::from_rotation_x(roll)
+            }
         };
-        Pose::new(rotation, position).map_err(|e| line.error(e))
+        let pose = Pose::new(rotation, position).map_err(|e| line.error(e))?;
+        if !self.is_geographic {
+            return Ok(pose);
+        }
+        if position.x.abs() > 90.0 || position.y.abs() > 360.0 || position.z.abs() > 1e5 {
+            return Err(line.error("no place on the earth has this latitude, longitude and height"));
+        }
+        let here = Geographic {
+            latitude_deg: position.x,
+            longitude_deg: position.y,
+            height_m: position.z,
+        };
+        let local = here.seen_from(origin.get_or_insert(here));
+        Ok(Pose {
+            rotation: local.rotation * pose.rotation,
+            translation: local.translation,
+        })
     }
 }
 
@@ -246,6 +317,41 @@ mod tests {
         }
         let listed = read("x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,1\n0,0,0,0,0,0,1\n").unwrap();
         assert_eq!((listed.len(), listed[0].0), (2, -1));
+    }
+
+    #[test]
+    fn inertial_navigation_systems_tell_places_on_the_earth() {
+        for head in [
+            "GPSTime (s), Latitude (deg), Longitude (deg), Height (m), Roll (deg), Pitch (deg), Heading (deg), std_lat",
+            "time,lat,lon,alt,roll_deg,pitch_deg,heading_deg,vel_east",
+        ] {
+            // A metre is 9e-6° along a meridian.
+            let text =
+                format!("{head}\n10.5,49,8,110,0,0,90,7\n10.6,49.0000089914,8,111,10,0,0,7\n10.7,49,8,110,0,5,0,7\n");
+            let poses = read(&text).unwrap();
+            assert_eq!((poses.len(), poses[1].0), (3, 10_600_000_000), "{head}");
+            let at = |i: usize, v: DVec3| poses[i].1.rotation * v;
+            assert!(poses[0].1.translation.length() < 1e-9);
+            // Heading east, x looks east and y north.
+            assert!(at(0, DVec3::X).distance(DVec3::X) < 1e-9 && at(0, DVec3::Y).distance(DVec3::Y) < 1e-9);
+            // One metre north and one up; heading north, rolled by 10°: the left side is up, and lies in the west.
+            assert!(
+                poses[1].1.translation.distance(DVec3::new(0.0, 1.0, 1.0)) < 1e-4,
+                "{:?}",
+                poses[1].1
+            );
+            assert!(at(1, DVec3::X).distance(DVec3::Y) < 1e-6);
+            let left = DVec3::new(-10f64.to_radians().cos(), 0.0, 10f64.to_radians().sin());
+            assert!(at(1, DVec3::Y).distance(left) < 1e-6, "{}", at(1, DVec3::Y));
+            // The nose up by 5°.
+            assert!((at(2, DVec3::X).z - 5f64.to_radians().sin()).abs() < 1e-9);
+        }
+        let text = "t,easting,northing,height,roll[rad],pitch[rad],azimuth[rad]\n1,690000,5330000,500,0,0,1.5707963267948966\n";
+        let poses = read(text).unwrap();
+        assert_eq!(poses[0].1.translation, DVec3::new(690_000.0, 5_330_000.0, 500.0));
+        assert!((poses[0].1.rotation * DVec3::X).distance(DVec3::X) < 1e-9);
+        let told = read("t,lat,lon,alt,roll,pitch,heading\n1,91,0,0,0,0,0\n").unwrap_err();
+        assert!(told.contains("line 2: no place on the earth"), "{told}");
     }
 
     #[test]

@@ -24,7 +24,7 @@ use crate::files;
 use crate::source::{OpenOptions, Sensor, Source, Stream, StreamedScan};
 
 /// Seconds without a new byte after which a recording is taken to be at its end.
-const SILENCE_SECS: u64 = if cfg!(test) { 1 } else { 10 };
+const SILENCE_SECS: u64 = if cfg!(test) { 3 } else { 10 };
 /// Scans so near to the newest one wait for more.
 const HELD_BACK_SECS: f64 = 0.5;
 /// With fewer scans, units and references of times are not concluded yet.
@@ -205,14 +205,16 @@ impl Follow {
     }
 }
 
-/// Bytes of a file, or of the files in a folder.
+/// Bytes of a file, or of the files in a folder; a SQLite bag may grow in a file beside it.
 fn size(path: &Path) -> u64 {
     let of = |path: &Path| std::fs::metadata(path).map_or(0, |data| data.len());
     if path.is_dir() {
         let names = files::names(path).unwrap_or_default();
         return names.iter().map(|name| of(&path.join(name))).sum();
     }
-    of(path)
+    let mut beside = path.as_os_str().to_owned();
+    beside.push("-wal");
+    of(path) + of(Path::new(&beside))
 }
 
 /// Whether no more can come: standard input is over, or MCAP's end mark is there.

@@ -161,6 +161,11 @@ impl Lidar {
         Ok(this)
     }
 
+    /// What its packets are put together from, where its messages hold packets.
+    pub(crate) fn packets(&self) -> Option<&PacketSweeps> {
+        self.packets.as_ref()
+    }
+
     /// The beams, where packets tell them.
     pub(crate) fn beams(&self) -> Option<tsdfuse::SensorModel> {
         self.packets.as_ref()?.beams.clone()

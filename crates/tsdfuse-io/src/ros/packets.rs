@@ -3,8 +3,8 @@
 //! All packets are followed once when the recording is opened, to find where sweeps begin; a sweep's packets are decoded when it is
 //! read.
 
-use tsdfuse::SensorModel;
 use tsdfuse::trajectory::secs_between;
+use tsdfuse::{ImuSample, SensorModel};
 use tsdfuse_packets::{Calibration, Decoder, Maker, Sensor as Model};
 
 use super::bag::Bag;
@@ -215,6 +215,28 @@ impl PacketSweeps {
     pub(crate) fn times_ns(&self) -> Vec<i64> {
         let time = |sweep: &Spot| sweep.time_ns.saturating_add(self.shift_ns);
         self.sweeps.iter().map(time).collect()
+    }
+
+    /// The samples in a topic of packets of the sensor's inertial measurement unit, in the sensor's frame.
+    ///
+    /// # Errors
+    /// Names the topic and what is wrong.
+    pub(crate) fn imu(&self, bag: &Bag, channel: usize, schema: &Schema) -> Result<Vec<ImuSample>> {
+        let topic = bag.channels().get(channel).map_or("", |c| c.topic.as_str());
+        let decoder =
+            Decoder::new(self.model, self.calibration.clone()).map_err(|e| Error::dataset(topic, e.to_string()))?;
+        let mut samples = Vec::new();
+        for entry in bag.entries(channel) {
+            with_message(bag, channel, schema, entry, |message| {
+                let packets = payloads(message, entry.time_ns)?.into_iter();
+                samples.extend(packets.flat_map(|(_, payload)| decoder.imu(payload)));
+                Ok(())
+            })?;
+        }
+        for sample in &mut samples {
+            sample.time_ns = sample.time_ns.saturating_add(self.shift_ns);
+        }
+        Ok(samples)
     }
 
     /// Decodes a sweep.

@@ -8,7 +8,7 @@ use tsdfuse::trajectory::{ns_after, secs_between};
 use tsdfuse::{Pose, Scan, Trajectory};
 
 use super::bag::Bag;
-use super::container::Entry;
+use super::container::{Channel, Entry};
 use super::images;
 use super::lidar::Lidar;
 use super::messages;
@@ -47,6 +47,8 @@ pub(crate) struct Recording {
 /// An inertial measurement unit.
 struct Inertial {
     channel: usize,
+    /// The LiDAR in which it is, where messages hold that sensor's packets.
+    lidar: Option<usize>,
     /// `body_from_imu`, where frames tell.
     body_from_imu: Option<Pose>,
 }
@@ -57,6 +59,11 @@ struct Motion {
     /// Where each LiDAR sits on the body.
     body_from_sensor: Vec<Pose>,
     body: String,
+}
+
+/// Whether a channel holds packets of a LiDAR's inertial measurement unit.
+fn is_imu_packets(channel: &Channel) -> bool {
+    use_of(channel) == Use::Packets && channel.topic.contains("imu")
 }
 
 impl Recording {
@@ -131,7 +138,7 @@ impl Recording {
                 continue;
             };
             // Ouster's driver has a second topic of packets, for its IMU.
-            if channel.topic.contains("imu") {
+            if is_imu_packets(channel) {
                 continue;
             }
             let stamps = self.survey.stamps.get(&number);
@@ -492,6 +499,7 @@ impl Recording {
         let mut units = of(Use::Imu);
         units.sort_by_key(|&number| std::cmp::Reverse(self.bag.entries(number).len()));
         let Some((&channel, others)) = units.split_first() else {
+            self.find_imu_packets(motion);
             return;
         };
         let frame = self
@@ -517,6 +525,7 @@ impl Recording {
         };
         let mut line = topic(channel);
         line += &match body_from_imu {
+            Some(_) if is_same => format!(", in the frame {frame}"),
             Some(_) => format!(", turned from {frame} into {body}"),
             None => format!(", in its own frame {frame}: how it is turned against {body} is not told"),
         };
@@ -524,8 +533,34 @@ impl Recording {
             let others: Vec<_> = others.iter().map(|&number| topic(number)).collect();
             line += &format!("; others: {}", others.join(", "));
         }
-        self.imu = Some(Inertial { channel, body_from_imu });
+        self.imu = Some(Inertial {
+            channel,
+            lidar: None,
+            body_from_imu,
+        });
         self.conclude("IMU", line);
+    }
+
+    /// The inertial measurement unit of a LiDAR, whose packets its driver publishes beside those of the LiDAR.
+    fn find_imu_packets(&mut self, motion: Option<&Motion>) {
+        let parent = |topic: &str| topic.rsplit_once('/').map(|(parent, _)| parent.to_owned());
+        let beside = |topic: &str| {
+            let is_its = |lidar: &Lidar| lidar.packets().is_some() && parent(&lidar.topic) == parent(topic);
+            self.lidars.iter().position(is_its)
+        };
+        let mut channels = self.bag.channels().iter().enumerate();
+        let found = channels.find_map(|(channel, c)| {
+            let is_it = is_imu_packets(c) && self.survey.schemas.contains_key(&channel);
+            Some((channel, c.topic.clone(), beside(&c.topic).filter(|_| is_it)?))
+        });
+        let Some((channel, topic, lidar)) = found else { return };
+        let sitting = motion.and_then(|m| m.body_from_sensor.get(lidar).copied());
+        self.imu = Some(Inertial {
+            channel,
+            lidar: Some(lidar),
+            body_from_imu: sitting.or((lidar == 0).then_some(Pose::IDENTITY)),
+        });
+        self.conclude("IMU", format!("{topic}, packets of the LiDAR's own unit"));
     }
 
     fn find_images(&mut self, motion: Option<&Motion>) {
@@ -668,16 +703,26 @@ impl Source for Recording {
     }
 
     fn imu(&self) -> Result<Vec<ImuSample>> {
-        let Some(Inertial { channel, body_from_imu }) = &self.imu else {
+        let Some(Inertial {
+            channel,
+            lidar,
+            body_from_imu,
+        }) = &self.imu
+        else {
             return Ok(Vec::new());
         };
         let Some(schema) = self.survey.schemas.get(channel) else {
             return Ok(Vec::new());
         };
-        let mut samples = Vec::new();
-        for entry in self.bag.entries(*channel) {
-            samples.push(with_message(&self.bag, *channel, schema, entry, messages::imu)?);
-        }
+        let packets = lidar.and_then(|lidar| self.lidars.get(lidar)?.packets());
+        let mut samples = match packets {
+            Some(packets) => packets.imu(&self.bag, *channel, schema)?,
+            None => {
+                let entries = self.bag.entries(*channel).iter();
+                let read = |entry| with_message(&self.bag, *channel, schema, entry, messages::imu);
+                entries.map(read).collect::<Result<Vec<_>>>()?
+            }
+        };
         samples.sort_by_key(|sample| sample.time_ns);
         let mut lengths: Vec<f64> = samples.iter().map(|sample| sample.acceleration.length()).collect();
         let is_in_g = (0.5..2.0).contains(&super::point_times::median(&mut lengths));

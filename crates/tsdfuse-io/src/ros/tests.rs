@@ -315,6 +315,26 @@ fn packets_become_the_drivers_points() {
     let log = open(folder.join("ouster/512x10_raw.bag")).unwrap();
     assert!(log.len().unwrap() >= 1, "{:?}", log.notes());
     assert!(log.read(0).unwrap().points.len() > 1000);
+    // Its IMU's packets lie in a topic beside: at rest, they show gravity upwards.
+    let imu = log.imu().unwrap();
+    assert_eq!(imu.len(), 10);
+    let steps = imu.windows(2).map(|pair| pair[1].time_ns - pair[0].time_ns);
+    assert!(
+        steps.clone().all(|step| (9_000_000..11_000_000).contains(&step)),
+        "{:?}",
+        steps.collect::<Vec<_>>()
+    );
+    assert!(
+        imu.iter()
+            .all(|sample| (9.0..11.0).contains(&sample.acceleration.length())),
+        "{imu:?}"
+    );
+    let begin = log.scans()[0].time_ns.unwrap();
+    assert!(
+        (imu[0].time_ns - begin).abs() < 1_000_000_000,
+        "{begin} {}",
+        imu[0].time_ns
+    );
 }
 
 /// Real recordings of others, where they are: tf and odometry in all three containers.
@@ -506,6 +526,47 @@ fn a_recording_that_grows_gives_the_same_scans() {
         });
         same_scans(name, &open_with(&path, &points_only()).unwrap());
         writer.join().unwrap();
+    }
+}
+
+/// With the journals that recorders use; a bag in write-ahead mode grows in a file beside it.
+#[cfg(feature = "db3")]
+#[test]
+fn a_sqlite_bag_that_grows_gives_the_same_scans() {
+    use std::io::Read;
+    let folder = tempfile::tempdir().unwrap();
+    let packed = std::fs::read(data("ros2_file").join("ros2_file.db3.zstd")).unwrap();
+    let mut bytes = Vec::new();
+    ruzstd::decoding::StreamingDecoder::new(&packed[..])
+        .unwrap()
+        .read_to_end(&mut bytes)
+        .unwrap();
+    let whole = folder.path().join("whole.db3");
+    std::fs::write(&whole, &bytes).unwrap();
+    for journal in ["WAL", "MEMORY"] {
+        let path = folder.path().join(format!("{journal}.db3"));
+        let bag = rusqlite::Connection::open(&path).unwrap();
+        bag.execute_batch(&format!(
+            "PRAGMA journal_mode={journal}; ATTACH '{}' AS whole;
+             CREATE TABLE topics AS SELECT * FROM whole.topics;
+             CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);",
+            whole.display()
+        ))
+        .unwrap();
+        let writer = std::thread::spawn(move || {
+            let last: i64 = bag
+                .query_row("SELECT max(id) FROM whole.messages", [], |row| row.get(0))
+                .unwrap();
+            for k in 0..10 {
+                std::thread::sleep(std::time::Duration::from_millis(50));
+                let (from, to) = (k * last / 10, (k + 1) * last / 10);
+                let insert = "INSERT INTO messages SELECT id, topic_id, timestamp, data FROM whole.messages WHERE id > ?1 AND id <= ?2";
+                bag.execute(insert, [from, to]).unwrap();
+            }
+            bag
+        });
+        same_scans("ros2_file", &open_with(&path, &points_only()).unwrap());
+        drop(writer.join().unwrap());
     }
 }
 

@@ -12,7 +12,7 @@ use super::schema::known;
 use crate::atomic::AtomicFile;
 use crate::error::{Error, Result};
 use crate::point_rows;
-use crate::source::Sensor;
+use crate::source::{ImuSample, Sensor};
 
 /// The frame in which the poses are.
 const WORLD: &str = "map";
@@ -20,7 +20,8 @@ const WORLD: &str = "map";
 const CHUNK: u64 = 4 << 20;
 
 /// Writes scans as an MCAP file, one after another: `PointCloud2` with the fields `x y z intensity time ring`, as far as the scans
-/// have them, each sensor under a topic of its own, and its poses during each sweep as tf from `map`.
+/// have them, each sensor under a topic of its own, and its poses during each sweep as tf from `map`. Samples of an inertial measurement
+/// unit become `Imu`.
 ///
 /// Points, rings and times come back bit for bit, poses up to rounding. The file appears when it is finished.
 pub struct Writer {
@@ -71,6 +72,13 @@ impl Cdr {
     }
 }
 
+/// A channel of messages of a kind that ROS defines.
+fn channel(mcap: &mut mcap::Writer<AtomicFile>, topic: &str, kind: &str) -> mcap::McapResult<u16> {
+    let text = known(kind).unwrap_or_default();
+    let schema = mcap.add_schema(&kind.replace('/', "/msg/"), "ros2msg", text.as_bytes())?;
+    mcap.add_channel(schema, topic, "cdr", &BTreeMap::new())
+}
+
 impl Writer {
     /// Begins a file for scans of these sensors.
     ///
@@ -86,16 +94,11 @@ impl Writer {
             .chunk_size(Some(CHUNK));
         let wrong = |e: mcap::McapError| Error::format(path, e.to_string());
         let mut mcap = options.create(file).map_err(wrong)?;
-        let mut channel = |topic: &str, kind: &str| {
-            let text = known(kind).unwrap_or_default();
-            let schema = mcap.add_schema(&kind.replace('/', "/msg/"), "ros2msg", text.as_bytes())?;
-            mcap.add_channel(schema, topic, "cdr", &BTreeMap::new())
-        };
-        let tf = channel("/tf", "tf2_msgs/TFMessage").map_err(wrong)?;
+        let tf = channel(&mut mcap, "/tf", "tf2_msgs/TFMessage").map_err(wrong)?;
         let mut clouds = Vec::new();
         for sensor in sensors {
             let name = sensor.name.trim_start_matches('/');
-            let id = channel(&format!("/{name}"), "sensor_msgs/PointCloud2").map_err(wrong)?;
+            let id = channel(&mut mcap, &format!("/{name}"), "sensor_msgs/PointCloud2").map_err(wrong)?;
             clouds.push((id, name.replace('/', "_")));
         }
         Ok(Self {
@@ -145,6 +148,34 @@ impl Writer {
             self.write(self.tf, time_ns, &message)?;
         }
         self.write(channel, time_ns, &cloud(scan, time_ns, &frame))
+    }
+
+    /// Writes what an inertial measurement unit measured, in the frame of the first sensor.
+    ///
+    /// # Errors
+    /// Names the file and what the system says.
+    pub fn write_imu(&mut self, samples: &[ImuSample]) -> Result<()> {
+        let Some((_, frame)) = self.clouds.first().cloned() else {
+            return Ok(());
+        };
+        let wrong = |e: mcap::McapError| Error::format(&self.path, e.to_string());
+        let channel = channel(&mut self.mcap, "/imu", "sensor_msgs/Imu").map_err(wrong)?;
+        for sample in samples {
+            let mut message = Cdr::new();
+            message.header(sample.time_ns, &frame);
+            // No orientation, which its covariance says.
+            let mut numbers = vec![0.0, 0.0, 0.0, 1.0];
+            numbers.extend([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            numbers.extend(sample.angular_velocity.to_array());
+            numbers.extend([0.0; 9]);
+            numbers.extend(sample.acceleration.to_array());
+            numbers.extend([0.0; 9]);
+            for number in numbers {
+                message.number(f64::to_le_bytes(number));
+            }
+            self.write(channel, sample.time_ns, &message)?;
+        }
+        Ok(())
     }
 
     /// The poses during a scan that are not told yet. At each time there is one pose; where a sweep's motion begins with another pose

@@ -4,6 +4,7 @@ use serde_json::Value;
 use tsdfuse::SensorModel;
 use tsdfuse::glam::{DMat3, DMat4};
 
+use super::imu::ImuProfile;
 use crate::error::{PacketError, Result};
 
 /// More than any sensor has.
@@ -40,6 +41,9 @@ pub struct Metadata {
     /// Millimetres.
     pub(super) sensor_from_lidar: DMat4,
     pub(super) sensor_from_imu: DMat3,
+    pub(super) imu: ImuProfile,
+    /// Whether the header counts frames with 32 bits, where told.
+    pub(super) has_long_frame: Option<bool>,
     pub(super) notes: Vec<String>,
 }
 
@@ -217,6 +221,11 @@ impl Metadata {
             profile: text_of("udp_profile_lidar").unwrap_or("LEGACY").to_owned(),
             sensor_from_lidar: matrix("lidar_to_sensor_transform")?.unwrap_or_else(rotated),
             sensor_from_imu: DMat3::from_mat4(sensor_from_imu),
+            imu: ImuProfile::named(
+                text_of("udp_profile_imu").unwrap_or("LEGACY"),
+                count("imu_measurements_per_packet").unwrap_or(0),
+            ),
+            has_long_frame: text_of("header_type").map(|kind| kind == "FUSA"),
             pixel_shifts: shifts.into_iter().map(|shift| shift as i32).collect(),
             lidar_port: port("udp_port_lidar"),
             imu_port: port("udp_port_imu"),

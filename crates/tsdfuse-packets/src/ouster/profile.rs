@@ -1,5 +1,6 @@
 //! The makers' profiles: where range, signal and reflectivity are in a pixel.
 
+use super::metadata::Metadata;
 use crate::error::{PacketError, Result};
 
 /// How a pixel is laid out.
@@ -38,10 +39,23 @@ const SINGLE: &[Echo] = &[echo(0, 4, Some(6))];
 const DUAL: &[Echo] = &[echo(0, 3, Some(8)), echo(4, 7, Some(10))];
 const LOW: &[Echo] = &[echo(0, 2, None)];
 const LOW_DUAL: &[Echo] = &[echo(0, 2, None), echo(4, 6, None)];
-const COLOUR: &[Echo] = &[echo(0, 3, None)];
+const COLOUR: &[Echo] = &[echo(0, 3, Some(4))];
 
 impl Profile {
-    pub(super) fn named(name: &str) -> Result<Self> {
+    /// That of a sensor.
+    ///
+    /// # Errors
+    /// If it is not known, or sends no returns.
+    pub(super) fn of(metadata: &Metadata) -> Result<Self> {
+        let named = Self::named(&metadata.profile)?;
+        let has_long_frame = metadata.has_long_frame.unwrap_or(named.has_long_frame);
+        Ok(Self {
+            has_long_frame: has_long_frame && !named.is_legacy,
+            ..named
+        })
+    }
+
+    fn named(name: &str) -> Result<Self> {
         let fine = |pixel, echoes| Self {
             is_legacy: false,
             has_long_frame: false,
@@ -65,6 +79,7 @@ impl Profile {
             "RNG19_RFL8_SIG16_NIR16_DUAL" | "RNG19_RFL8_SIG16_ZONE16_DUAL" => fine(16, DUAL),
             "FIVE_WORD_PIXEL" => fine(20, DUAL),
             "RNG19_RFL8_SIG16_NIR16_RGB16" => fine(16, COLOUR),
+            "RNG19_RFL8_SIG16_NIR16_RGB16_DUAL" => fine(20, DUAL),
             "RNG15_RFL8_NIR8" | "RNG15_RFL8_WIN8" => low(4, LOW),
             "RNG15_RFL8_NIR8_ZONE16" => low(8, LOW),
             "RNG15_RFL8_NIR8_DUAL" => low(8, LOW_DUAL),
@@ -72,6 +87,10 @@ impl Profile {
                 has_long_frame: true,
                 ..low(8, LOW_DUAL)
             },
+            "OFF" => {
+                let reason = "the metadata say that the sensor sends no returns: udp_profile_lidar is OFF";
+                return Err(PacketError::calibration(reason));
+            }
             other => {
                 let reason = format!("the metadata name a profile that is not known: {other:.60}");
                 return Err(PacketError::calibration(reason));

@@ -1,3 +1,5 @@
+use tsdfuse::glam::DVec3;
+
 use super::*;
 use crate::{Calibration, Decoder};
 
@@ -150,4 +152,77 @@ fn a_window_is_whole_when_all_of_it_came() {
     }
     assert!(sweeps.len() == 2 && sweeps.iter().all(|sweep| sweep.is_whole && sweep.turn == 0.5));
     assert_eq!(decoder.counts().lost, 0);
+}
+
+/// The inertial measurement unit's newer packets: eight samples, each with a time and a status, in m/s² and rad/s.
+#[test]
+fn newer_packets_of_the_imu_hold_many_samples() {
+    let more = "\"udp_profile_imu\":\"ACCEL32_GYRO32_NMEA\",\"imu_measurements_per_packet\":8,\
+                \"imu_to_sensor_transform\":[0,-1,0,0, 1,0,0,0, 0,0,1,0, 0,0,0,1],";
+    let calibration = Calibration::parse(metadata(FINE, more).as_bytes()).unwrap();
+    let mut decoder = Decoder::new(Sensor::Ouster, calibration).unwrap();
+    let mut packet = vec![0; 32 + 100];
+    packet[0] = 2;
+    for i in 0..8_u64 {
+        packet.extend((1_000_000_000 + i * 1_250_000).to_le_bytes());
+        // The sixth was not measured.
+        packet.extend([0, 0, u8::from(i != 5), 0]);
+        let numbers = [0.5, 0.0, 9.806_65, 0.25 * i as f32, 0.0, 0.0];
+        packet.extend(numbers.iter().flat_map(|v: &f32| v.to_le_bytes()));
+    }
+    packet.extend([0; 32]);
+    let samples = decoder.imu(&packet);
+    assert_eq!(samples.len(), 7);
+    assert_eq!(samples[6].time_ns, 1_008_750_000);
+    let turned = DVec3::new(0.0, 0.5, f64::from(9.806_65_f32));
+    assert!(
+        samples
+            .iter()
+            .all(|sample| sample.acceleration.distance(turned) < 1e-12),
+        "{samples:?}"
+    );
+    assert!(samples[6].angular_velocity.distance(DVec3::new(0.0, 1.75, 0.0)) < 1e-12);
+    // It holds no returns, and neither do packets of zones.
+    assert!(decoder.push(0, &packet).unwrap().is_none());
+    assert_eq!(decoder.counts().packets, 0);
+    assert!(decoder.imu(&packet[1..]).is_empty() && self::decoder(FINE).imu(&packet).is_empty());
+    assert!(decoder.imu(&[0; 48]).is_empty());
+}
+
+/// Headers for functional safety count frames with 32 bits elsewhere, in whatever profile.
+#[test]
+fn headers_for_functional_safety_are_read_in_all_profiles() {
+    let calibration = Calibration::parse(metadata(FINE, "\"header_type\":\"FUSA\",").as_bytes()).unwrap();
+    let mut decoder = Decoder::new(Sensor::Ouster, calibration).unwrap();
+    let mut sweeps = 0;
+    for frame in [70_000_u32, 70_000, 70_001, 70_001] {
+        let mut packet = packet(0, 0, 1000);
+        packet[2..12].fill(0);
+        packet[4..8].copy_from_slice(&frame.to_le_bytes());
+        packet[11] = 77;
+        sweeps += usize::from(decoder.push(0, &packet).unwrap().is_some());
+    }
+    assert_eq!(sweeps, 1);
+}
+
+#[test]
+fn colours_beside_second_returns_are_passed_over() {
+    let mut decoder = decoder("RNG19_RFL8_SIG16_NIR16_RGB16_DUAL");
+    let mut bytes = packet(0, 0, 0);
+    bytes.truncate(32);
+    for column in 0..16_u8 {
+        bytes.extend([0; 8]);
+        bytes.extend([column, 0, 1, 0]);
+        // Ranges 1 m and 2 m, their reflectivities and signals, then near infrared, red, green, blue.
+        let pixel = [232, 3, 0, 1, 208, 7, 0, 2, 5, 0, 6, 0, 9, 9, 9, 9, 9, 9, 9, 9];
+        (0..16).for_each(|_| bytes.extend(pixel));
+    }
+    bytes.extend([0; 32]);
+    decoder.push(0, &bytes).unwrap();
+    let scan = decoder.finish().unwrap().scan;
+    assert_eq!(scan.points.len(), 2 * 16 * 16);
+    assert_eq!(scan.intensities.unwrap()[..2], [5.0, 6.0]);
+    let off = Calibration::parse(metadata("OFF", "").as_bytes()).unwrap();
+    let told = Decoder::new(Sensor::Ouster, off).unwrap_err().to_string();
+    assert!(told.contains("sends no returns"), "{told}");
 }

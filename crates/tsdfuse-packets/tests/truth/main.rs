@@ -28,17 +28,24 @@ fn file(folder: &Path, extension: &str) -> PathBuf {
         .unwrap()
 }
 
-/// The points of a PCD. Its times, where it has them, are no truth: the driver was told another return mode than the packets'.
+/// The points of a PCD.
 fn truth(path: &Path) -> Vec<[f32; 3]> {
+    let float = |b: &[u8], at: usize| f32::from_le_bytes(b[at..at + 4].try_into().unwrap());
+    rows(path)
+        .iter()
+        .map(|b| [float(b, 0), float(b, 4), float(b, 8)])
+        .collect()
+}
+
+/// The bytes of each point of a PCD.
+fn rows(path: &Path) -> Vec<Vec<u8>> {
     let bytes = std::fs::read(path).unwrap();
     let mark = b"DATA binary\n";
     let begin = bytes.windows(mark.len()).position(|w| w == mark).unwrap() + mark.len();
     let header = String::from_utf8_lossy(&bytes[..begin]).into_owned();
     let sizes = header.lines().find_map(|line| line.strip_prefix("SIZE ")).unwrap();
     let stride = sizes.split(' ').map(|n| n.parse::<usize>().unwrap()).sum();
-    let float = |b: &[u8], at: usize| f32::from_le_bytes(b[at..at + 4].try_into().unwrap());
-    let row = |b: &[u8]| [float(b, 0), float(b, 4), float(b, 8)];
-    bytes[begin..].chunks_exact(stride).map(row).collect()
+    bytes[begin..].chunks_exact(stride).map(<[u8]>::to_vec).collect()
 }
 
 struct Recording {
@@ -80,10 +87,6 @@ fn found(truth: &[[f32; 3]], sweeps: &[Sweep]) -> usize {
     for point in sweeps.iter().flat_map(|sweep| &sweep.scan.points) {
         cells.entry(key(point.to_array())).or_default().push(point.to_array());
     }
-    let is_near = |a: [f32; 3], b: [f32; 3]| {
-        let (a, b) = (glam(a), glam(b));
-        (a.length() - b.length()).abs() < 1e-3 && a.angle_between(b).to_degrees() < 0.01
-    };
     let is_found = |point: &[f32; 3]| {
         let [a, b, c] = key(*point);
         let around = (-1..=1).flat_map(|i| (-1..=1).flat_map(move |j| (-1..=1).map(move |k| [a + i, b + j, c + k])));
@@ -91,6 +94,12 @@ fn found(truth: &[[f32; 3]], sweeps: &[Sweep]) -> usize {
         near.any(|&p| is_near(p, *point))
     };
     truth.iter().filter(|point| is_found(point)).count()
+}
+
+/// Whether two points are one, up to 1 mm of range and 0.01°.
+fn is_near(a: [f32; 3], b: [f32; 3]) -> bool {
+    let (a, b) = (glam(a), glam(b));
+    (a.length() - b.length()).abs() < 1e-3 && a.angle_between(b).to_degrees() < 0.01
 }
 
 fn glam(point: [f32; 3]) -> DVec3 {
@@ -164,4 +173,59 @@ fn vlp32c_decodes_as_its_driver() {
 #[test]
 fn vlp16_decodes_as_its_driver() {
     check("vlp16", Sensor::Vlp16, "VLP16.yaml", 16);
+}
+
+/// The only driver's cloud that tells times: nanoseconds in the packet. The driver was told that each firing is reported once, but these
+/// packets report it twice; so its times tell the firing's number among the packet's 24 and the laser, and from these follows the time.
+#[test]
+fn vlp16_fires_when_its_driver_says() {
+    let Some(recording) = recording("vlp16", Sensor::Vlp16, "VLP16.yaml") else {
+        return;
+    };
+    let logs = logs().unwrap();
+    let number = |row: &[u8], at: usize| u32::from_le_bytes(row[at..at + 4].try_into().unwrap());
+    let float = |row: &[u8], at: usize| f32::from_bits(number(row, at));
+    // Microseconds in the hour at which each packet began.
+    let packets = bag::packets(&std::fs::read(file(&logs.join("vlp16"), "db3")).unwrap());
+    assert!(packets.iter().all(|(_, packet)| packet[1204] == 0x39));
+    let mut begins: Vec<i64> = packets
+        .iter()
+        .map(|(_, packet)| i64::from(number(packet, 1200)))
+        .collect();
+    begins.sort_unstable();
+    let mut decoded: Vec<([f32; 3], i64)> = Vec::new();
+    for Sweep { scan, .. } in &recording.sweeps {
+        let (begin_ns, times) = (scan.time_ns.unwrap(), scan.times.as_ref().unwrap());
+        let at = |secs: f32| begin_ns + (f64::from(secs) * 1e9).round() as i64;
+        decoded.extend(scan.points.iter().zip(times).map(|(p, &secs)| (p.to_array(), at(secs))));
+    }
+    decoded.sort_by(|a, b| a.0[0].total_cmp(&b.0[0]));
+    let mut off_ns: i64 = 0;
+    let rows = rows(&file(&logs.join("vlp16"), "pcd"));
+    for row in &rows {
+        let point = [float(row, 0), float(row, 4), float(row, 8)];
+        let told_ns = f64::from(number(row, row.len() - 4));
+        let firing = (told_ns / 55_296.0).floor();
+        let laser_ns = told_ns - firing * 55_296.0;
+        // Two blocks of two firings each: those of the second one are the first ones again.
+        let true_firing = (firing / 4.0).floor() * 2.0 + firing % 2.0;
+        let wanted_ns = (true_firing * 55_296.0 + laser_ns) as i64;
+        let from = decoded.partition_point(|(p, _)| p[0] < point[0] - 0.03);
+        let near = decoded[from..].iter().take_while(|(p, _)| p[0] < point[0] + 0.03);
+        let same = near.filter(|(p, _)| is_near(*p, point));
+        // How far from the beginning of a packet, after that time is taken off.
+        let off = same.map(|(_, time_ns)| {
+            let micros = (time_ns - wanted_ns).rem_euclid(3_600_000_000_000);
+            let next = begins.partition_point(|&begin| begin * 1000 < micros);
+            let around = [next.saturating_sub(1), next.min(begins.len() - 1)];
+            around
+                .map(|i| (begins[i] * 1000 - micros).abs())
+                .into_iter()
+                .min()
+                .unwrap()
+        });
+        off_ns = off_ns.max(off.min().expect("each point is there"));
+    }
+    println!("{} times, at most {off_ns} ns off", rows.len());
+    assert!(off_ns < 1000, "{off_ns} ns");
 }
