@@ -78,9 +78,9 @@ pub(crate) struct SensorArgs {
     /// [default: as the log tells].
     #[arg(long, value_name = "FILE|POSE", value_parser = parse_extrinsics, allow_hyphen_values = true)]
     extrinsics: Option<Pose>,
-    /// The sensor: one of several in the log (several with commas are read together), or the model of the only one
-    /// (pandar64, hdl64e, vlp16, ...).
-    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    /// The sensor: one of several in the log (several with commas are read together), the model of the only one
+    /// (pandar64, hdl64e, vlp16, ...), or a file that tells its errors and where it sits (see --save-sensor).
+    #[arg(long, value_name = "NAME|FILE.toml", value_delimiter = ',')]
     sensor: Vec<String>,
     /// The calibration of a LiDAR whose packets are read: Velodyne's XML or YAML, Hesai's CSV, Ouster's metadata [default: what
     /// fits and lies beside the recording, or the model's nominal angles].
@@ -91,9 +91,13 @@ pub(crate) struct SensorArgs {
 impl SensorArgs {
     /// How the log is opened, with these poses.
     pub(crate) fn options(&self, poses: Option<PathBuf>) -> OpenOptions {
+        let is_file = |name: &&String| name.ends_with(".toml");
+        let names = self.sensor.iter().filter(|name| !is_file(name));
+        let mut files = self.sensor.iter().filter(is_file);
         OpenOptions {
             poses,
-            sensors: self.sensor.clone(),
+            sensors: names.cloned().collect(),
+            sensor_file: files.next().map(PathBuf::from),
             calibration: self.calibration.clone(),
             extrinsics: self.extrinsics,
             ..OpenOptions::default()

@@ -77,6 +77,9 @@ pub(crate) struct Args {
     /// Write the poses of the scans: TUM, or KITTI where scans have no times.
     #[arg(long, value_name = "FILE")]
     save_poses: Option<PathBuf>,
+    /// Write what is known of the sensor: with --poses refine, the systematic errors that were found, too. `--sensor FILE` takes it.
+    #[arg(long, value_name = "FILE.toml")]
+    save_sensor: Option<PathBuf>,
     /// Write a picture of the whole result (.png).
     #[arg(long, value_name = "FILE")]
     preview: Option<PathBuf>,
@@ -163,6 +166,7 @@ impl Args {
                 mesh_every: self.mesh_every.map(|every| every as usize),
                 map: self.save_map.clone(),
                 poses: self.save_poses.clone(),
+                sensor: self.save_sensor.clone(),
                 preview: self.preview.clone(),
                 report: self.report.clone(),
             },

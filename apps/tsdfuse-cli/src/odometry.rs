@@ -7,7 +7,7 @@ use anyhow::Result;
 use serde::Serialize;
 use tsdfuse_io::g2o;
 use tsdfuse_run::report::OdometryReport;
-use tsdfuse_run::{PosesFrom, RunConfig, TrackedScan, check_outputs, refine, track, write_poses};
+use tsdfuse_run::{PosesFrom, RunConfig, TrackedScan, check_outputs, refine, track, write_poses, write_sensor};
 
 use crate::args::{LogArgs, Loops};
 use crate::exit::{self, Outcome};
@@ -38,6 +38,9 @@ pub(crate) struct Args {
     /// Write the pose graph of the loops for g2o or GTSAM: local maps along the way, odometry and closures between them.
     #[arg(long, value_name = "FILE.g2o")]
     save_graph: Option<PathBuf>,
+    /// Write what is known of the sensor: with --poses refine, the systematic errors that were found, too. `--sensor FILE` takes it.
+    #[arg(long, value_name = "FILE.toml")]
+    save_sensor: Option<PathBuf>,
     /// Print each scan's quality as JSON.
     #[arg(long)]
     json: bool,
@@ -54,7 +57,7 @@ struct Tracks {
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     args.log.set_threads()?;
     let (input, settings) = (args.log.input(), args.log.settings(None)?);
-    let outputs: Vec<_> = [Some(&args.output), args.save_graph.as_ref()]
+    let outputs: Vec<_> = [Some(&args.output), args.save_graph.as_ref(), args.save_sensor.as_ref()]
         .into_iter()
         .flatten()
         .map(PathBuf::as_path)
@@ -79,23 +82,28 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     };
     let seconds = start.elapsed().as_secs_f64();
     let report = found.report(seconds);
-    let (scans, graph) = (found.scans, found.graph);
-    let poses: Vec<_> = scans.iter().map(|scan| scan.pose).collect();
+    let poses: Vec<_> = found.scans.iter().map(|scan| scan.pose).collect();
     write_poses(&args.output, &poses)?;
-    if let (Some(path), Some(graph)) = (&args.save_graph, &graph) {
+    if let (Some(path), Some(graph)) = (&args.save_graph, &found.graph) {
         g2o::write(path, graph)?;
+    }
+    if let Some(path) = &args.save_sensor {
+        write_sensor(path, &log, found.correction.as_ref())?;
     }
     say(format_args!(
         "{} scans over {:.1} m in {seconds:.2} s, {:.1} scans/s; poses in {}",
-        scans.len(),
+        found.scans.len(),
         report.distance_m,
-        scans.len() as f64 / seconds,
+        found.scans.len() as f64 / seconds,
         args.output.display()
     ));
     crate::terminal::loops(&report);
-    crate::terminal::doubts(&report, scans.len());
+    crate::terminal::doubts(&report, found.scans.len());
     if args.json {
-        print_json(&Tracks { report, scans })?;
+        print_json(&Tracks {
+            report,
+            scans: found.scans,
+        })?;
     }
     Ok(if stop.is_stopped() {
         Outcome::ScansSkipped

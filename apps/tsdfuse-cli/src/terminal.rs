@@ -135,6 +135,7 @@ pub(crate) fn doubts(report: &OdometryReport, scans: usize) {
         unmatched,
         pieces,
         imu,
+        correction,
         ..
     } = report;
     if *pieces > 1 {
@@ -144,6 +145,16 @@ pub(crate) fn doubts(report: &OdometryReport, scans: usize) {
     }
     for note in imu.iter().flat_map(|imu| &imu.notes) {
         say(format_args!("  note: {note}"));
+    }
+    if let Some(correction) = correction {
+        let beams = match correction.beams.len() {
+            0 => String::new(),
+            n => format!(", and each of {n} beams on its own"),
+        };
+        say(format_args!(
+            "  note: the sensor is off: elevations are corrected by {:.3}°, ranges by {:.3} m{beams}; --save-sensor keeps that for other runs",
+            correction.elevation_deg, correction.range_m
+        ));
     }
     if *undetermined > 0 {
         say(format_args!(

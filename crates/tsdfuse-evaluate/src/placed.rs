@@ -5,7 +5,7 @@ use std::path::Path;
 use tsdfuse::Pose;
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::{Log, Selection};
-use tsdfuse_run::{Event, Input, Stop, Track, common_shift, refine, track, write_poses};
+use tsdfuse_run::{Event, Input, Stop, Track, common_shift, refine, track, write_poses, write_sensor};
 
 use crate::contest::Contest;
 use crate::error::{Error, Result};
@@ -57,7 +57,7 @@ fn found(kind: ScanPoses, contest: &Contest, folder: &Path, watch: &mut Watch<'_
         hold_out: None,
         ..contest.input.selection.clone()
     };
-    let Track { scans, .. } = match kind {
+    let Track { scans, correction, .. } = match kind {
         ScanPoses::Track => track(&log, &all, odometry, loops, range, &stop)?,
         ScanPoses::Given | ScanPoses::Refine => refine(&log, &all, odometry, loops, range, &stop, &mut observer)?,
     };
@@ -76,8 +76,16 @@ fn found(kind: ScanPoses, contest: &Contest, folder: &Path, watch: &mut Watch<'_
     write_poses(&path, &poses.collect::<Vec<_>>())?;
     let mut input = contest.input.clone();
     input.options.poses = Some(path);
+    let mut settings = contest.settings.clone();
+    if let Some(found) = &correction {
+        let path = folder.join(format!("{}.toml", kind.name()));
+        write_sensor(&path, &log, Some(found))?;
+        input.options.sensor_file = Some(path);
+        // The file has what is set, too.
+        settings = settings.without("sensor");
+    }
     let log = input
-        .open(&contest.settings, &mut |_: Event<'_>| {})
+        .open(&settings, &mut |_: Event<'_>| {})
         .map_err(|error| Error::failed(format_args!("the poses that were found do not fit the log: {error}")))?;
     Ok((input, log))
 }

@@ -8,6 +8,9 @@ use crate::error::{Error, Result};
 use crate::text::{self, Line};
 use crate::{files, poses, present};
 
+/// The points of KITTI's HDL-64E lie this much too low, degrees (Deschaud, IMLS-SLAM, ICRA 2018, section IV-B).
+pub(crate) const KITTI_HDL64E_DEG: f64 = 0.205;
+
 /// `camera_from_velodyne`, if the folder has a `calib.txt` with a line `Tr`.
 pub(crate) fn in_folder(folder: &Path) -> Result<Option<Pose>> {
     let path = folder.join("calib.txt");

@@ -1,30 +1,31 @@
-//! A log with another correction of elevations than its format has.
+//! A log whose sensors have other errors than its format gives them.
 
 use std::sync::Arc;
 
+use tsdfuse::sensor::SensorCorrection;
 use tsdfuse::{Scan, Trajectory};
 
 use crate::error::Result;
 use crate::source::{GnssFix, ImageRef, ImuSample, Recorded, ScanRef, Sensor, Source};
 
-/// A source whose sensors have another correction than its format gives them.
+/// A source whose sensors are corrected otherwise than its format does.
 pub(crate) struct Corrected {
     source: Arc<dyn Source>,
     sensors: Vec<Sensor>,
 }
 
 impl Corrected {
-    pub(crate) fn new(source: Arc<dyn Source>, degrees: f64) -> Self {
+    pub(crate) fn new(source: Arc<dyn Source>, correction: &SensorCorrection) -> Self {
         let mut sensors = source.sensors().to_vec();
-        set(&mut sensors, degrees);
+        set(&mut sensors, correction);
         Self { source, sensors }
     }
 }
 
 /// Gives all sensors this correction.
-pub(crate) fn set(sensors: &mut [Sensor], degrees: f64) {
+pub(crate) fn set(sensors: &mut [Sensor], correction: &SensorCorrection) {
     for sensor in sensors {
-        sensor.elevation_correction_deg = degrees;
+        sensor.correction.clone_from(correction);
     }
 }
 

@@ -7,9 +7,8 @@
 //! - `times/` with one `.f32` a scan: seconds of each point after the scan's pose, little-endian `f32`,
 //! - `motion.txt`: for each scan a line with further poses of the sensor, so that the poses of single returns are known:
 //!   the seconds from the scan's pose to such a pose and its 12 numbers as in `poses.txt`, once or several times, or `-` for none,
-//! - `sensor.toml`: the sensor's model, and optionally `body_from_sensor`, the 12 numbers of where it sits on a body (vehicle,
-//!   robot); then `poses.txt` and `motion.txt` are `world_from_body`; and `elevation_correction_deg`, by which each return is to be
-//!   turned up,
+//! - `sensor.toml` ([`crate::sensor_file`]): the sensor's model, its errors, and where it sits on a body (vehicle, robot); then
+//!   `poses.txt` and `motion.txt` are `world_from_body`,
 //! - `imu.csv`: what an inertial measurement unit measured, in the sensor frame: after the header `t,gx,gy,gz,ax,ay,az`, seconds
 //!   on the clock of `times.txt`, rad/s and m/s².
 //!
@@ -22,6 +21,7 @@ use std::path::{Path, PathBuf};
 
 use tsdfuse::glam::Vec3;
 use tsdfuse::scan::PoseAt;
+use tsdfuse::sensor::SensorCorrection;
 use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, Scan, Trajectory};
 
@@ -35,7 +35,7 @@ use crate::{bin, las, pcd, placed, ply, present, times};
 mod beside;
 mod imu;
 
-pub(crate) use beside::{PoseFile, parse_motions, parse_sensor, poses};
+pub(crate) use beside::{PoseFile, parse_motions, poses};
 use beside::{motions, of_model, sensor};
 pub(crate) use imu::parse as parse_imu;
 
@@ -55,7 +55,7 @@ pub(crate) struct ScanFolder {
     imu: Imu,
     sensors: [Sensor; 1],
     /// Whether `sensor.toml` says how far elevations are off.
-    tells_elevations: bool,
+    tells_errors: bool,
     notes: Vec<String>,
 }
 
@@ -84,7 +84,7 @@ impl ScanFolder {
         pose_file: Option<PoseFile>,
         options: &OpenOptions,
     ) -> Result<Self> {
-        let (sensor, tells_elevations) = sensor(root, options)?;
+        let (sensor, tells_errors) = sensor(root, options)?;
         // The identity changes no pose; not multiplying keeps its bits, too.
         let on_body = Some(sensor.body_from_sensor).filter(|pose| *pose != Pose::IDENTITY);
         let of_sensor = |body: Pose| on_body.map_or(body, |body_from_sensor| body * body_from_sensor);
@@ -151,26 +151,26 @@ impl ScanFolder {
                 Imu::Known(Vec::new())
             },
             sensors: [sensor],
-            tells_elevations,
+            tells_errors,
             notes,
         };
         folder.note_gaps();
         Ok(folder)
     }
 
-    /// The model for logs that come from one kind of sensor only, and the known error of these sensors' elevations, unless
-    /// `sensor.toml` tells it.
+    /// The model for logs that come from one kind of sensor only, and by how much these sensors' elevations are known to be off, unless
+    /// `sensor.toml` tells the sensor's errors.
     pub(crate) fn with_usual_sensor(mut self, name: &str, elevation_correction_deg: f64) -> Self {
         let [sensor] = &mut self.sensors;
         if sensor.model.is_none() {
             *sensor = Sensor {
                 body_from_sensor: sensor.body_from_sensor,
-                elevation_correction_deg: sensor.elevation_correction_deg,
+                correction: std::mem::take(&mut sensor.correction),
                 ..of_model(tsdfuse::sensor::model(name))
             };
         }
-        if !self.tells_elevations && sensor.name == name {
-            sensor.elevation_correction_deg = elevation_correction_deg;
+        if !self.tells_errors && sensor.name == name {
+            sensor.correction = SensorCorrection::of_elevation(elevation_correction_deg);
         }
         self
     }

@@ -246,7 +246,7 @@ pub fn osf(bytes: &[u8]) {
 
 /// A sensor's model.
 pub fn sensor(bytes: &[u8]) {
-    let _ = folder::parse_sensor(Path::new(PATH), bytes);
+    let _ = crate::sensor_file::parse(Path::new(PATH), bytes);
 }
 
 /// A PNG image, as a depth image and as a mask.

@@ -6,7 +6,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::elevation;
+use crate::calib::KITTI_HDL64E_DEG;
 use crate::error::Result;
 use crate::files::{self, ScanFile};
 use crate::folder::{self, ScanFolder};
@@ -21,8 +21,7 @@ pub(crate) fn recognises(path: &Path) -> bool {
 pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
     let scans = scans(path)?;
     let poses = folder::poses(path, options, &poses_by_sequence(path))?;
-    Ok(ScanFolder::new("KITTI odometry", path, &scans, poses, options)?
-        .with_usual_sensor("hdl64e", elevation::KITTI_HDL64E_DEG))
+    Ok(ScanFolder::new("KITTI odometry", path, &scans, poses, options)?.with_usual_sensor("hdl64e", KITTI_HDL64E_DEG))
 }
 
 fn scans(path: &Path) -> Result<Vec<ScanFile>> {

@@ -8,12 +8,13 @@ use std::path::{Path, PathBuf};
 
 use tsdfuse::Pose;
 
+use crate::calib::KITTI_HDL64E_DEG;
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::folder::{self, PoseFile, ScanFolder};
 use crate::poses::{self, Poses};
 use crate::source::OpenOptions;
-use crate::{calib, elevation, present, text};
+use crate::{calib, present, text};
 
 /// Whether it is a drive whose data set has KITTI-360's calibration.
 pub(crate) fn recognises(path: &Path) -> bool {
@@ -37,8 +38,8 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
         extrinsics: Some(options.extrinsics.map_or_else(|| imu_from_velodyne(path), Ok)?),
         ..options.clone()
     };
-    let mut log = ScanFolder::new("KITTI-360", &velodyne, &scans, poses, &options)?
-        .with_usual_sensor("hdl64e", elevation::KITTI_HDL64E_DEG);
+    let mut log =
+        ScanFolder::new("KITTI-360", &velodyne, &scans, poses, &options)?.with_usual_sensor("hdl64e", KITTI_HDL64E_DEG);
     if scans.len() < all {
         log.note(format!(
             "{} of {all} scans have no pose and are left out",

@@ -15,12 +15,13 @@ use tsdfuse::pose::Interpolation;
 use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, Trajectory};
 
+use crate::calib::KITTI_HDL64E_DEG;
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::folder::{self, PoseFile, ScanFolder};
 use crate::poses::Poses;
 use crate::source::{ImuSample, OpenOptions};
-use crate::{calib, elevation, present, text, times};
+use crate::{calib, present, text, times};
 
 /// Equatorial radius of the Earth, metres.
 const EARTH_RADIUS_M: f64 = 6_378_137.0;
@@ -37,7 +38,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
     let scans = files::list(&velodyne.join("data"), "bin")?;
     let new = |poses| {
         Ok(ScanFolder::new("KITTI raw", &velodyne, &scans, poses, options)?
-            .with_usual_sensor("hdl64e", elevation::KITTI_HDL64E_DEG))
+            .with_usual_sensor("hdl64e", KITTI_HDL64E_DEG))
     };
     let packets = path.join("oxts/data");
     if options.poses.is_some() || !present::folder(&packets)? {
@@ -66,7 +67,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
         ..options.clone()
     };
     let log = ScanFolder::new("KITTI raw", &velodyne, &scans, Some(poses), &of_scanner)?
-        .with_usual_sensor("hdl64e", elevation::KITTI_HDL64E_DEG);
+        .with_usual_sensor("hdl64e", KITTI_HDL64E_DEG);
     Ok(log.with_body(packets.trajectory()?, imu_from_velodyne, packets.imu()))
 }
 

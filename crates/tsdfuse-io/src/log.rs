@@ -3,14 +3,15 @@
 use std::path::Path;
 use std::sync::{Arc, PoisonError};
 
+use tsdfuse::sensor::SensorCorrection;
 use tsdfuse::{Scan, Trajectory};
 
 use crate::corrected::{self, Corrected};
-use crate::elevation;
 use crate::error::{Error, Result};
 use crate::pandaset::PandaSet;
 use crate::read_ahead::{Live, ReadAhead, Scans};
 use crate::selection::Selection;
+use crate::sensor_file;
 use crate::source::{
     GnssFix, ImageRef, ImuSample, OpenOptions, Recorded, ScanRef, Sensor, Source, Stream, read_checked,
 };
@@ -122,23 +123,34 @@ pub fn open(path: impl AsRef<Path>) -> Result<Log> {
 /// As [`open`].
 pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
     let path = path.as_ref();
+    let Some(file) = &options.sensor_file else {
+        return open_as_told(path, options);
+    };
+    let told = sensor_file::read(file)?;
+    let options = OpenOptions {
+        extrinsics: options.extrinsics.or(told.body_from_sensor),
+        ..options.clone()
+    };
+    let log = open_as_told(path, &options)?;
+    match told.correction {
+        Some(correction) => log.with_correction(&correction),
+        None => Ok(log),
+    }
+}
+
+/// Opens the log at `path`; the errors of its sensors are those that the log tells.
+fn open_as_told(path: &Path, options: &OpenOptions) -> Result<Log> {
     if let Some(address) = crate::udp::address(path) {
-        return crate::udp::Udp::open(address, options)
-            .map(Log::of_stream)?
-            .corrected(options);
+        return crate::udp::Udp::open(address, options).map(Log::of_stream);
     }
     if path.as_os_str() == "-" {
-        return crate::ros::Follow::stdin(options)
-            .map(Log::of_stream)?
-            .corrected(options);
+        return crate::ros::Follow::stdin(options).map(Log::of_stream);
     }
     if options.follow {
-        return crate::ros::Follow::open(path, options)
-            .map(Log::of_stream)?
-            .corrected(options);
+        return crate::ros::Follow::open(path, options).map(Log::of_stream);
     }
     match FORMATS.iter().find(|format| (format.recognises)(path)) {
-        Some(format) => (format.open)(path, options)?.corrected(options),
+        Some(format) => (format.open)(path, options),
         None if !std::fs::metadata(path).map_err(Error::io(path))?.is_dir() => Err(Error::dataset(
             path,
             "is no ROS bag, no MCAP file, no capture of a LiDAR's packets (PCAP, pcapng), no OSF, no LAS and no E57; other data sets are folders",
@@ -198,27 +210,23 @@ impl Log {
         Ok(Self::new(Together::new(sources.collect::<Result<_>>()?)?))
     }
 
-    /// With the correction of elevations that is asked for.
-    fn corrected(self, options: &OpenOptions) -> Result<Self> {
-        let Some(degrees) = options.elevation_correction_deg else {
-            return Ok(self);
-        };
-        if !elevation::is_possible(degrees) {
-            let reason = format!(
-                "elevations cannot be corrected by {degrees}°: at most {}° are possible",
-                elevation::MAX_DEG
-            );
-            return Err(Error::dataset(self.format(), reason));
-        }
-        if degrees != 0.0 && self.sensors().iter().any(|sensor| sensor.camera.is_some()) {
-            let reason = "elevations of depth images cannot be corrected: their points lie on the rays of pixels";
+    /// With other errors of its sensors to take back than its format tells ([`Sensor::correction`](crate::Sensor::correction)).
+    ///
+    /// # Errors
+    /// If no sensor can be off by that, and for depth images.
+    pub fn with_correction(self, correction: &SensorCorrection) -> Result<Self> {
+        correction
+            .check()
+            .map_err(|e| Error::dataset(self.format(), e.to_string()))?;
+        if !correction.is_none() && self.sensors().iter().any(|sensor| sensor.camera.is_some()) {
+            let reason = "depth images cannot be corrected: their points lie on the rays of pixels";
             return Err(Error::dataset(self.format(), reason));
         }
         Ok(match self.0 {
-            Input::Source(source) => Self::new(Corrected::new(source, degrees)),
+            Input::Source(source) => Self::new(Corrected::new(source, correction)),
             Input::Stream(mut live) => {
                 if let Some(live) = Arc::get_mut(&mut live) {
-                    corrected::set(&mut live.sensors, degrees);
+                    corrected::set(&mut live.sensors, correction);
                 }
                 Self(Input::Stream(live))
             }

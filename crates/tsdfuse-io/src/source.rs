@@ -8,10 +8,9 @@ use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
 pub use tsdfuse::ImuSample;
-use tsdfuse::sensor::Pinhole;
+use tsdfuse::sensor::{Pinhole, SensorCorrection};
 use tsdfuse::{Pose, Scan, SensorModel, Trajectory};
 
-use crate::elevation;
 use crate::error::{Error, Result};
 
 /// How to open a log; the default asks for nothing in particular.
@@ -35,8 +34,9 @@ pub struct OpenOptions {
     /// Of a large recording of messages, read only the index and some parts: enough to describe it, not to fuse it, as stamps and poses
     /// are then estimates.
     pub glance: bool,
-    /// Replaces what the log says of [`Sensor::elevation_correction_deg`].
-    pub elevation_correction_deg: Option<f64>,
+    /// A file that describes the sensor, as the `sensor.toml` of a plain folder does (see [`crate::folder`]): it replaces what the log says of
+    /// the sensor's errors and of where it sits.
+    pub sensor_file: Option<PathBuf>,
 }
 
 /// A sensor of a log.
@@ -53,9 +53,8 @@ pub struct Sensor {
     pub min_range_m: Option<f32>,
     /// Where the sensor sits on the body whose poses the log's trajectory has; the identity if those are the sensor's own.
     pub body_from_sensor: Pose,
-    /// Each return is turned up by this angle, degrees, about the horizontal axis across its azimuth: a known error of the sensor's
-    /// elevations, taken back. It is done to what [`Source::read`] and [`Stream::next`] hand out.
-    pub elevation_correction_deg: f64,
+    /// The sensor's known errors, which are taken back from what [`Source::read`] and [`Stream::next`] hand out.
+    pub correction: SensorCorrection,
 }
 
 impl Sensor {
@@ -67,7 +66,7 @@ impl Sensor {
             camera: None,
             min_range_m: None,
             body_from_sensor: Pose::IDENTITY,
-            elevation_correction_deg: 0.0,
+            correction: SensorCorrection::default(),
         }
     }
 }
@@ -273,9 +272,8 @@ pub(crate) fn read_checked(source: &dyn Source, index: usize) -> Result<Scan> {
 /// The scan, if its columns fit together, with its sensor's known error taken back.
 pub(crate) fn checked(mut scan: Scan, name: &str, sensor: Option<&Sensor>) -> Result<Scan> {
     scan.check().map_err(|e| Error::dataset(name, e.to_string()))?;
-    let degrees = sensor.map_or(0.0, |sensor| sensor.elevation_correction_deg);
-    if degrees != 0.0 {
-        elevation::turn_up(&mut scan.points, degrees);
+    if let Some(sensor) = sensor {
+        sensor.correction.apply(&mut scan);
     }
     Ok(scan)
 }

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod along;
+mod calibrate;
 mod cells;
 mod imu;
 mod locate;
@@ -12,9 +13,10 @@ mod surfaces;
 mod systematic;
 mod tracker;
 
+pub use calibrate::{Calibrate, shared_errors};
 pub use imu::{ForetoldBy, ImuReport};
 pub use locate::Search;
 pub use refiner::{Refined, Refiner, common_shift};
 pub use surfaces::{Fit, SurfacePoint, Surfaces};
-pub use systematic::{BeamError, ErrorSums, SensorErrors};
+pub use systematic::ErrorSums;
 pub use tracker::{OdometryConfig, Quality, Tracked, Tracker};

@@ -9,6 +9,7 @@ use tsdfuse::trajectory::secs_between;
 use tsdfuse::{ImuSample, Pose, Scan};
 
 use crate::along::Drift;
+use crate::calibrate::Calibrate;
 use crate::cells::{Cells, Seen};
 use crate::imu::{End, Foretold, ForetoldBy, ImuReport, Inertial};
 use crate::locate::{Search, locate};
@@ -60,6 +61,8 @@ pub struct OdometryConfig {
     pub turn_acceleration: f64,
     /// Whether an inertial measurement unit is used, where the log has one.
     pub imu: bool,
+    /// What refinement does about systematic errors of the sensor.
+    pub calibrate: Calibrate,
 }
 
 impl Default for OdometryConfig {
@@ -73,6 +76,7 @@ impl Default for OdometryConfig {
             acceleration: 6.0,
             turn_acceleration: 6.0,
             imu: true,
+            calibrate: Calibrate::Auto,
         }
     }
 }

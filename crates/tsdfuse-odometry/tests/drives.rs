@@ -2,8 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use glam::DVec3;
+use tsdfuse::sensor::SensorCorrection;
 use tsdfuse::{ImuSample, Pose, Scan};
-use tsdfuse_odometry::{OdometryConfig, Refiner, Search, Tracked, Tracker, common_shift};
+use tsdfuse_odometry::{OdometryConfig, Refiner, Search, Tracked, Tracker, common_shift, shared_errors};
 use tsdfuse_sim::{Simulator, SimulatorConfig, path, scene};
 
 fn drive(name: &str, way: &str, sensor: &str, scans: usize, motion: bool) -> Vec<Scan> {
@@ -199,6 +200,21 @@ fn rough_poses_are_refined_to_millimetres() {
     }
     let [metres, degrees] = off(&poses);
     assert!(metres < 0.012 && degrees < 0.03, "{metres} m {degrees} deg");
+}
+
+#[test]
+fn errors_of_elevations_and_ranges_are_found_and_none_where_there_are_none() {
+    let config = OdometryConfig::default();
+    let mut scans = drive("street", "vehicle", "hdl32e", 24, false);
+    assert_eq!(shared_errors(&scans, config), None);
+    let error = SensorCorrection {
+        range_m: 0.05,
+        ..SensorCorrection::of_elevation(0.3)
+    };
+    scans.iter_mut().for_each(|scan| error.apply(scan));
+    let found = shared_errors(&scans, config).unwrap();
+    assert!((found.elevation_deg + 0.3).abs() < 0.07, "{found:?}");
+    assert!((found.range_m + 0.05).abs() < 0.015, "{found:?}");
 }
 
 #[test]

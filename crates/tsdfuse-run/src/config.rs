@@ -6,6 +6,7 @@ use tsdfuse::fuse::{CaminalConfig, FuseConfig, KuehnerConfig, Method, PatchConfi
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::normals::NormalsConfig;
 use tsdfuse::scan::RangeLimits;
+use tsdfuse::sensor::SensorCorrection;
 use tsdfuse::surfel::SurfelConfig;
 use tsdfuse_io::Log;
 use tsdfuse_loops::LoopConfig;
@@ -24,8 +25,8 @@ pub struct RunConfig {
     pub map: MapConfig,
     /// Which ranges are measurements.
     pub range: RangeLimits,
-    /// What is known of the sensor.
-    pub sensor: SensorConfig,
+    /// The sensor's known errors, which are taken back as scans are read ([`tsdfuse_io::Sensor::correction`]).
+    pub sensor: SensorCorrection,
     /// Options of the method `raycast`.
     pub raycast: RaycastConfig,
     /// Options of the method `normals`.
@@ -48,15 +49,6 @@ pub struct RunConfig {
     pub loops: LoopConfig,
 }
 
-/// What is known of the sensor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SensorConfig {
-    /// Each return is turned up by this angle, degrees, about the horizontal axis across its azimuth: a known error of the sensor's
-    /// elevations, taken back as scans are read ([`tsdfuse_io::Sensor::elevation_correction_deg`]).
-    pub elevation_correction_deg: f64,
-}
-
 impl RunConfig {
     /// The defaults for a log: what it suggests of method, voxels and ranges, and the defaults of all else.
     pub fn for_log(log: &Log) -> Self {
@@ -65,9 +57,10 @@ impl RunConfig {
             method: suggested.method,
             map: suggested.map,
             range: suggested.range,
-            sensor: SensorConfig {
-                elevation_correction_deg: log.sensors().first().map_or(0.0, |s| s.elevation_correction_deg),
-            },
+            sensor: log
+                .sensors()
+                .first()
+                .map_or_else(Default::default, |sensor| sensor.correction.clone()),
             ..Self::default()
         }
     }

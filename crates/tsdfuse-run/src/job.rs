@@ -154,6 +154,7 @@ impl Job {
             &mut outputs.mesh,
             &mut outputs.map,
             &mut outputs.poses,
+            &mut outputs.sensor,
             &mut outputs.preview,
             &mut outputs.report,
         ];

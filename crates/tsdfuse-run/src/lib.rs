@@ -46,7 +46,7 @@ mod tracking;
 pub mod view;
 
 pub use checkpoint::Checkpoint;
-pub use config::{RunConfig, SensorConfig};
+pub use config::RunConfig;
 pub use device::Device;
 pub use error::{BadScan, Result, RunError};
 pub use event::{Both, Event, Observer, Silent, Stop};
@@ -63,7 +63,7 @@ pub use run::Resumed;
 pub use session::Session;
 pub use settings::Settings;
 pub use setup::{Placing, Setup};
-pub use tracking::{PosesFrom, Track, TrackedScan, refine, track, write_poses};
+pub use tracking::{PosesFrom, Track, TrackedScan, refine, track, write_poses, write_sensor};
 pub use tsdfuse_loops::{Closure, LoopConfig};
 pub use tsdfuse_odometry::{ImuReport, OdometryConfig, Quality, common_shift};
 

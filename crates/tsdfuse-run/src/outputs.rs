@@ -24,6 +24,8 @@ pub struct Outputs {
     pub map: Option<PathBuf>,
     /// The poses of the scans: TUM, or KITTI where scans have no times.
     pub poses: Option<PathBuf>,
+    /// What is known of the sensor, the errors included that refinement found ([`tsdfuse_io::sensor_file`]).
+    pub sensor: Option<PathBuf>,
     /// A picture of the whole map.
     pub preview: Option<PathBuf>,
     /// What was done, as JSON.
@@ -32,7 +34,14 @@ pub struct Outputs {
 
 impl Outputs {
     fn files(&self) -> impl Iterator<Item = &Path> {
-        let files = [&self.mesh, &self.map, &self.poses, &self.preview, &self.report];
+        let files = [
+            &self.mesh,
+            &self.map,
+            &self.poses,
+            &self.sensor,
+            &self.preview,
+            &self.report,
+        ];
         files.into_iter().flatten().map(PathBuf::as_path)
     }
 

@@ -7,7 +7,7 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 use tsdfuse::fuse::Skipped;
 use tsdfuse::scan::Dropped;
-use tsdfuse::sensor::Pinhole;
+use tsdfuse::sensor::{Pinhole, SensorCorrection};
 use tsdfuse::trajectory::length_m;
 use tsdfuse::{SensorModel, VoxelMap};
 use tsdfuse_io::Sensor;
@@ -148,6 +148,9 @@ pub struct OdometryReport {
     /// What was found out about the log's IMU, if it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub imu: Option<ImuReport>,
+    /// Systematic errors of the sensor that refinement found, and that were taken back besides those that were known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub correction: Option<SensorCorrection>,
 }
 
 impl OdometryReport {
@@ -161,6 +164,7 @@ impl OdometryReport {
             pieces: 1,
             loops: None,
             imu: None,
+            correction: None,
         };
         for quality in qualities.skip(1) {
             report.undetermined += usize::from(quality.is_undetermined());

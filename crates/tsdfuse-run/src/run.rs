@@ -88,6 +88,9 @@ impl Job {
         if let Some(path) = &self.outputs.poses {
             session.write_poses(path)?;
         }
+        if let Some(path) = &self.outputs.sensor {
+            session.write_sensor(path)?;
+        }
         let saved_map = self.outputs.map.as_deref().map(|path| {
             observer.on(Event::Working("saving the map"));
             session.save_map(path)

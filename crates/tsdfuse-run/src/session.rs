@@ -731,6 +731,7 @@ impl Session {
                 pieces: placed.pieces,
                 imu: placed.imu.clone(),
                 loops: placed.loops.clone(),
+                correction: placed.correction.clone(),
                 ..of(placed.seconds)
             }),
         }
@@ -836,6 +837,18 @@ impl Session {
     /// If the file cannot be written.
     pub fn write_poses(&self, path: &Path) -> Result<()> {
         tracking::write_poses(path, &self.poses)
+    }
+
+    /// Writes what is known of the log's first sensor, the errors included that refinement found.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write_sensor(&self, path: &Path) -> Result<()> {
+        let found = match &self.placer {
+            Placer::Refinement(placed) => placed.correction.as_ref(),
+            Placer::Log | Placer::Odometry(_) => None,
+        };
+        tracking::write_sensor(path, &self.log, found)
     }
 
     /// Saves the map of the scans so far, with their poses, and intensities as a layer of their own ([`Intensity::path_beside`]).

@@ -92,6 +92,13 @@ impl Settings {
         self.0.get(section).is_some_and(|section| section.get(key).is_some())
     }
 
+    /// These without a section.
+    pub fn without(&self, section: &str) -> Self {
+        let mut left = self.clone();
+        left.0.remove(section);
+        left
+    }
+
     /// All that is set, as [`Self::set_text`] takes it.
     pub fn texts(&self) -> Vec<String> {
         let mut texts = Vec::new();
@@ -112,12 +119,12 @@ impl Settings {
     /// # Errors
     /// As [`tsdfuse_io::open_with`].
     pub fn open(&self, path: &Path, options: &OpenOptions) -> Result<Log> {
-        let mut options = options.clone();
-        if self.has("sensor", "elevation_correction_deg") {
-            let config = self.resolve_over(&RunConfig::default())?;
-            options.elevation_correction_deg = Some(config.sensor.elevation_correction_deg);
+        let log = tsdfuse_io::open_with(path, options)?;
+        if !self.0.contains_key("sensor") {
+            return Ok(log);
         }
-        Ok(tsdfuse_io::open_with(path, &options)?)
+        let correction = self.resolve(&log)?.sensor;
+        Ok(log.with_correction(&correction)?)
     }
 
     /// The whole configuration: what is set, else what the log suggests, else the defaults; checked.
@@ -143,8 +150,15 @@ impl Settings {
         if !self.has("range", "max_range_m") {
             config.range.max_range_m = defaults.range.max_range_m;
         }
+        let sensor = &defaults.sensor;
         if !self.has("sensor", "elevation_correction_deg") {
-            config.sensor = defaults.sensor;
+            config.sensor.elevation_deg = sensor.elevation_deg;
+        }
+        if !self.has("sensor", "range_correction_m") {
+            config.sensor.range_m = sensor.range_m;
+        }
+        if !self.has("sensor", "beam_corrections") {
+            config.sensor.beams.clone_from(&sensor.beams);
         }
         if !self.has("map", "voxel_size_m") {
             config.map.voxel_size_m = defaults.map.voxel_size_m;

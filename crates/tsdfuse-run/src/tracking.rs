@@ -7,13 +7,16 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 use tsdfuse::mesh;
 use tsdfuse::scan::RangeLimits;
+use tsdfuse::sensor::SensorCorrection;
 use tsdfuse::{ImuSample, Pose, Scan};
 use tsdfuse_io::g2o;
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::poses::{self, Poses};
-use tsdfuse_io::{Log, ReadScan, Selection};
+use tsdfuse_io::{Log, ReadScan, Selection, sensor_file};
 use tsdfuse_loops::LoopConfig;
-use tsdfuse_odometry::{ImuReport, OdometryConfig, Quality, Refined, Refiner, Search, Tracker, common_shift};
+use tsdfuse_odometry::{
+    Calibrate, ImuReport, OdometryConfig, Quality, Refined, Refiner, Search, Tracker, common_shift, shared_errors,
+};
 
 use crate::error::{BadScan, Result, RunError};
 use crate::event::{Event, Observer, Stop};
@@ -156,6 +159,12 @@ impl Tracking {
 /// Rounds of refinement, and how far from their poses surfaces are looked for in each, metres.
 const REFINE_REACH_M: [f64; 6] = [0.5, 0.2, 0.1, 0.1, 0.1, 0.1];
 
+/// Scans at most from which the errors are found that all beams share.
+const CALIBRATED_BY: usize = 30;
+
+/// The round of refinement after which errors of the sensor are looked for: before, the poses are too rough.
+const CALIBRATED_AFTER: usize = 1;
+
 /// Poses that are known before anything is fused, by the scans' numbers in the log.
 pub(crate) struct Refinement {
     refined: HashMap<usize, Refined>,
@@ -165,6 +174,8 @@ pub(crate) struct Refinement {
     pub(crate) imu: Option<ImuReport>,
     pub(crate) loops: Option<LoopsReport>,
     graph: Option<g2o::Graph>,
+    /// Systematic errors of the sensor that were found, taken back.
+    pub(crate) correction: Option<SensorCorrection>,
 }
 
 impl Refinement {
@@ -217,7 +228,8 @@ impl Refinement {
             }
             closed = Some(corrections);
         }
-        for reach_m in REFINE_REACH_M {
+        let mut correction = SensorCorrection::default();
+        for (round, reach_m) in REFINE_REACH_M.into_iter().enumerate() {
             let mut refiner = Refiner::new(config, reach_m);
             let mut waiting = VecDeque::new();
             let mut next = HashMap::new();
@@ -232,6 +244,7 @@ impl Refinement {
                 }
                 // A scan that cannot be read is told when it is fused.
                 let Ok(mut scan) = read.scan else { continue };
+                correction.apply(&mut scan);
                 scan.drop_invalid(limits);
                 if let Some(refined) = refined.get(&read.index) {
                     refined.place(&mut scan);
@@ -245,6 +258,15 @@ impl Refinement {
                 break;
             }
             refined = next;
+            if round == CALIBRATED_AFTER && config.calibrate != Calibrate::Off {
+                observer.on(Event::Working("looking for errors of the sensor"));
+                let scans = of_the_middle(log, indices, &refined, limits);
+                correction = shared_errors(&scans, config).unwrap_or_default();
+                observer.on(Event::Working("refining the poses"));
+            }
+            if round > CALIBRATED_AFTER && round + 1 < REFINE_REACH_M.len() && config.calibrate == Calibrate::Beams {
+                correction = correction.plus(&refiner.errors().by_beam());
+            }
         }
         let pairs = indices
             .iter()
@@ -262,6 +284,7 @@ impl Refinement {
             imu: None,
             loops,
             graph,
+            correction: (!correction.is_none()).then_some(correction),
         })
     }
 
@@ -310,6 +333,7 @@ impl Refinement {
             imu: tracking.imu(),
             loops: Some(corrections.report),
             graph: Some(corrections.graph),
+            correction: None,
         })
     }
 
@@ -318,12 +342,28 @@ impl Refinement {
         self.refined.get(&index).map(|refined| refined.pose)
     }
 
-    /// Places a scan, if it had a pose.
+    /// Places a scan, if it had a pose, and takes back the sensor's errors.
     pub(crate) fn place(&self, index: usize, scan: &mut Scan) -> Option<Quality> {
+        if let Some(correction) = &self.correction {
+            correction.apply(scan);
+        }
         let refined = self.refined.get(&index)?;
         refined.place(scan);
         Some(refined.quality)
     }
+}
+
+/// The scans in the middle of a log, with refined poses.
+fn of_the_middle(log: &Log, indices: &[usize], refined: &HashMap<usize, Refined>, limits: &RangeLimits) -> Vec<Scan> {
+    let from = indices.len().saturating_sub(CALIBRATED_BY) / 2;
+    let indices = indices.iter().skip(from).take(CALIBRATED_BY).copied();
+    let scans = log.read_indices(indices.collect()).filter_map(|read| {
+        let mut scan = read.scan.ok()?;
+        scan.drop_invalid(limits);
+        refined.get(&read.index)?.place(&mut scan);
+        Some(scan)
+    });
+    scans.collect()
 }
 
 /// A scan that was tracked.
@@ -353,6 +393,8 @@ pub struct Track {
     pub loops: Option<LoopsReport>,
     /// The pose graph of the local maps, whose nodes have the numbers of scans.
     pub graph: Option<g2o::Graph>,
+    /// Systematic errors of the sensor that refinement found, taken back.
+    pub correction: Option<SensorCorrection>,
 }
 
 impl Track {
@@ -363,6 +405,7 @@ impl Track {
             pieces: self.pieces,
             imu: self.imu.clone(),
             loops: self.loops.clone(),
+            correction: self.correction.clone(),
             ..OdometryReport::of(seconds, &poses, self.scans.iter().map(|scan| &scan.quality))
         }
     }
@@ -425,6 +468,7 @@ pub fn track(
         imu: tracking.imu(),
         loops,
         graph,
+        correction: None,
     })
 }
 
@@ -459,6 +503,7 @@ pub fn refine(
         imu: None,
         loops: refinement.loops,
         graph: refinement.graph,
+        correction: refinement.correction,
     })
 }
 
@@ -469,6 +514,20 @@ pub fn refine(
 pub fn write_poses(path: &Path, poses: &[FusedPose]) -> Result<()> {
     let poses = poses.iter().map(|fused| (fused.time_ns, fused.pose));
     Ok(poses::write(path, &Poses::of(poses))?)
+}
+
+/// Writes what is known of a log's first sensor, and the errors that were found besides.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_sensor(path: &Path, log: &Log, found: Option<&SensorCorrection>) -> Result<()> {
+    let Some(mut sensor) = log.sensors().first().cloned() else {
+        return Ok(());
+    };
+    if let Some(found) = found {
+        sensor.correction = sensor.correction.plus(found);
+    }
+    Ok(sensor_file::write(path, &sensor)?)
 }
 
 /// Whether a log can be tracked.

@@ -7,7 +7,7 @@ use glam::DVec3;
 use indicatif::HumanCount;
 use serde::Serialize;
 use tsdfuse::scan::{Dropped, RangeLimits};
-use tsdfuse::sensor::Pinhole;
+use tsdfuse::sensor::{Pinhole, SensorCorrection};
 use tsdfuse::trajectory::length_m;
 use tsdfuse::{Scan, SensorModel};
 use tsdfuse_io::{Log, OpenOptions, Recorded, ScanRef, Topic};
@@ -29,7 +29,8 @@ pub(super) struct LogInfo {
     /// Whether the sensor's model was guessed from a scan.
     sensor_guessed: bool,
     /// Each point is turned up by this: a known error of the sensor's elevations.
-    elevation_correction_deg: f64,
+    #[serde(flatten)]
+    correction: SensorCorrection,
     /// The camera, where the scans are depth images.
     camera: Option<Pinhole>,
     /// Median rate of the scans.
@@ -97,7 +98,7 @@ impl LogInfo {
             sensor: first.and_then(|sensor| sensor.model.clone()),
             sensors: log.sensors().iter().map(|sensor| sensor.name.clone()).collect(),
             sensor_guessed: false,
-            elevation_correction_deg: first.map_or(0.0, |sensor| sensor.elevation_correction_deg),
+            correction: first.map_or_else(Default::default, |sensor| sensor.correction.clone()),
             camera: first.and_then(|sensor| sensor.camera),
             rate_hz: rate_hz(log.scans()),
             duration_secs: duration_secs(log.scans()),
@@ -220,14 +221,21 @@ pub(super) fn table(info: &LogInfo) -> String {
         Some(camera) => rows.add("camera", camera_line(camera)),
         None => rows.add("sensor", sensor_line(info)),
     }
-    if info.elevation_correction_deg != 0.0 {
+    let correction = &info.correction;
+    if correction.elevation_deg != 0.0 {
         rows.add(
             "elevations",
             format!(
                 "each point is turned up by {}°, a known error of this sensor; --set sensor.elevation_correction_deg=0 leaves it",
-                info.elevation_correction_deg
+                correction.elevation_deg
             ),
         );
+    }
+    if correction.range_m != 0.0 {
+        rows.add("ranges", format!("{} m are added to each", correction.range_m));
+    }
+    if !correction.beams.is_empty() {
+        rows.add("beams", format!("{} are corrected one by one", correction.beams.len()));
     }
     rows.add("scans", scans_line(info));
     rows.add("path", format!("{:.1} m", info.path_length_m));

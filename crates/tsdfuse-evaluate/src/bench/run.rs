@@ -4,7 +4,6 @@ use std::time::Instant;
 
 use serde::Serialize;
 use tsdfuse_eval::stats::median;
-use tsdfuse_io::OpenOptions;
 use tsdfuse_run::{Input, Observer, RunConfig, Session, Setup};
 
 use crate::error::{Error, Result};
@@ -54,11 +53,7 @@ impl Run {
     pub(crate) fn time(input: &Input, config: &RunConfig, observer: &mut dyn Observer) -> Result<Self> {
         let folder = tempfile::tempdir().map_err(Error::at(&std::env::temp_dir()))?;
         let start = Instant::now();
-        let options = OpenOptions {
-            elevation_correction_deg: Some(config.sensor.elevation_correction_deg),
-            ..input.options.clone()
-        };
-        let log = tsdfuse_io::open_with(&input.path, &options)?;
+        let log = tsdfuse_io::open_with(&input.path, &input.options)?.with_correction(&config.sensor)?;
         let mut session = Session::begin(&log, setup(input, config), observer)?;
         session.run(observer)?;
         let mesh = session.write_surface(&folder.path().join("mesh.ply"))?;

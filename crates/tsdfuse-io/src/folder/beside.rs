@@ -2,15 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
+use tsdfuse::SensorModel;
 use tsdfuse::scan::PoseAt;
-use tsdfuse::{Pose, SensorModel};
 
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::poses::{self, Poses};
+use crate::sensor_file;
 use crate::source::{OpenOptions, Sensor};
-use crate::{calib, elevation, present, text};
+use crate::{calib, present, text};
 
 /// The motion of each scan, where the file is there and says so.
 pub(super) fn motions(path: &Path, files: &[ScanFile]) -> Result<Vec<Vec<PoseAt>>> {
@@ -48,11 +48,11 @@ fn motion(line: &text::Line) -> Result<Vec<PoseAt>> {
     Ok(motion)
 }
 
-/// The sensor: the model asked for, or that of `sensor.toml`, and where it sits on the body; and whether the file says how far
-/// its elevations are off.
+/// The sensor: the model asked for, or that of `sensor.toml`, and where it sits on the body; and whether the file tells its errors.
 pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<(Sensor, bool)> {
-    let path = root.join("sensor.toml");
-    let told = present::file(&path)?.then(|| parse_sensor(&path, &files::read(&path)?));
+    let path = options.sensor_file.clone().unwrap_or_else(|| root.join("sensor.toml"));
+    let is_there = options.sensor_file.is_some() || present::file(&path)?;
+    let told = is_there.then(|| sensor_file::read(&path));
     let told = told.transpose()?.unwrap_or_default();
     let mut model = told.model;
     match options.sensors.as_slice() {
@@ -70,10 +70,10 @@ pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<(Sensor, bool
     }
     let sensor = Sensor {
         body_from_sensor: options.extrinsics.or(told.body_from_sensor).unwrap_or_default(),
-        elevation_correction_deg: told.elevation_correction_deg.unwrap_or_default(),
+        correction: told.correction.clone().unwrap_or_default(),
         ..of_model(model)
     };
-    Ok((sensor, told.elevation_correction_deg.is_some()))
+    Ok((sensor, told.correction.is_some()))
 }
 
 /// A sensor that is called after its model.
@@ -83,73 +83,6 @@ pub(super) fn of_model(model: Option<SensorModel>) -> Sensor {
         model,
         ..Sensor::new(name)
     }
-}
-
-/// What `sensor.toml` tells.
-#[derive(Debug, Default)]
-pub(crate) struct SensorFile {
-    pub(crate) model: Option<SensorModel>,
-    pub(crate) body_from_sensor: Option<Pose>,
-    pub(crate) elevation_correction_deg: Option<f64>,
-}
-
-/// A `sensor.toml` with a model.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct WithModel {
-    name: String,
-    elevations_deg: Vec<f32>,
-    columns: u32,
-    min_range_m: f32,
-    max_range_m: f32,
-    body_from_sensor: Option<[f64; 12]>,
-    elevation_correction_deg: Option<f64>,
-}
-
-/// A `sensor.toml` without a model.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct WithoutModel {
-    body_from_sensor: Option<[f64; 12]>,
-    elevation_correction_deg: Option<f64>,
-}
-
-/// Parses `sensor.toml`: the model, where the sensor sits and how far its elevations are off; each of them may be missing. `path` is
-/// for messages.
-///
-/// # Errors
-/// Names the file and what no sensor can have.
-pub(crate) fn parse_sensor(path: &Path, bytes: &[u8]) -> Result<SensorFile> {
-    let file = |model, body_from_sensor: Option<[f64; 12]>, elevation_correction_deg: Option<f64>| {
-        let pose = |numbers: [f64; 12]| {
-            let pose = Pose::from_row_major_3x4(&numbers);
-            pose.map_err(|e| Error::format(path, format!("body_from_sensor: {e}")))
-        };
-        if let Some(degrees) = elevation_correction_deg.filter(|d| !elevation::is_possible(*d)) {
-            let reason = format!("elevation_correction_deg: {degrees}° is no error of a sensor");
-            return Err(Error::format(path, reason));
-        }
-        Ok(SensorFile {
-            model,
-            body_from_sensor: body_from_sensor.map(pose).transpose()?,
-            elevation_correction_deg,
-        })
-    };
-    if let Ok(told) = text::toml::<WithoutModel>(path, bytes)
-        && (told.body_from_sensor.is_some() || told.elevation_correction_deg.is_some())
-    {
-        return file(None, told.body_from_sensor, told.elevation_correction_deg);
-    }
-    let told: WithModel = text::toml(path, bytes)?;
-    let model = SensorModel {
-        name: told.name,
-        elevations_deg: told.elevations_deg,
-        columns: told.columns,
-        min_range_m: told.min_range_m,
-        max_range_m: told.max_range_m,
-    };
-    model.check().map_err(|e| Error::format(path, e.to_string()))?;
-    file(Some(model), told.body_from_sensor, told.elevation_correction_deg)
 }
 
 /// Poses and the file they come from.

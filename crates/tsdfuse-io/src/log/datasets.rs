@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use tsdfuse::glam::DVec3;
+use tsdfuse::sensor::SensorCorrection;
 
 use super::*;
 
@@ -27,11 +28,8 @@ fn opened(name: &str, options: &OpenOptions) -> Log {
 
 /// Opens it, and checks that each scan has so many points where they are.
 fn checked(name: &str, format: &str, scans: usize, metres: f64) -> Log {
-    let as_measured = OpenOptions {
-        elevation_correction_deg: Some(0.0),
-        ..OpenOptions::default()
-    };
-    let log = opened(name, &as_measured);
+    let log = opened(name, &OpenOptions::default());
+    let log = log.with_correction(&SensorCorrection::default()).unwrap();
     assert_eq!(
         (log.format(), log.len()),
         (format, Some(scans)),
@@ -143,7 +141,9 @@ fn kitti_360_has_poses_for_some_frames() {
     let names: Vec<_> = log.scans().iter().map(|scan| scan.name.as_str()).collect();
     assert_eq!(names, ["0000000000.bin", "0000000002.bin", "0000000003.bin"]);
     assert_eq!(
-        opened(name, &OpenOptions::default()).sensors()[0].elevation_correction_deg,
+        opened(name, &OpenOptions::default()).sensors()[0]
+            .correction
+            .elevation_deg,
         0.205
     );
 }

@@ -4,6 +4,7 @@ use std::path::Path;
 use proptest::prelude::*;
 use tsdfuse::glam::{DQuat, DVec3, Vec3};
 use tsdfuse::scan::PoseAt;
+use tsdfuse::sensor::SensorCorrection;
 use tsdfuse::{Pose, Scan};
 
 use super::Writer;
@@ -302,7 +303,8 @@ fn each_fault_is_one_line_with_its_place() {
     assert_eq!(
         message(&put("sensor.toml", b"name = \"x\"\nbeams = 3\n"), 0),
         "DIR/sensor.toml: line 2: unknown field `beams`, expected one of `name`, `elevations_deg`, `columns`, \
-         `min_range_m`, `max_range_m`, `body_from_sensor`, `elevation_correction_deg`"
+         `min_range_m`, `max_range_m`, `body_from_sensor`, `elevation_correction_deg`, `range_correction_m`, \
+         `beam_corrections`"
     );
     assert_eq!(
         message(&|dir| fs::write(dir.join("poses.txt"), IDENTITY.repeat(2)).unwrap(), 0),
@@ -413,17 +415,15 @@ fn both_layouts_of_the_real_scans_agree() {
     // The plain folder does not say which sensor it was; KITTI's is known to look too low.
     let as_measured = plain.read(19).unwrap().points;
     let corrected = |path: &Path, degrees| {
-        let options = OpenOptions {
-            elevation_correction_deg: Some(degrees),
-            ..Default::default()
-        };
-        crate::open_with(path, &options).unwrap().read(19).unwrap().points
+        let log = crate::open(path).unwrap();
+        let log = log.with_correction(&SensorCorrection::of_elevation(degrees)).unwrap();
+        log.read(19).unwrap().points
     };
     let scan = odometry.read(19).unwrap();
     assert_eq!(
         (
-            odometry.sensors()[0].elevation_correction_deg,
-            plain.sensors()[0].elevation_correction_deg
+            odometry.sensors()[0].correction.elevation_deg,
+            plain.sensors()[0].correction.elevation_deg
         ),
         (0.205, 0.0)
     );

@@ -1,6 +1,7 @@
 //! Sensor models: beam tables, projections with exact inverses, and ring recovery.
 
 pub mod approx;
+mod correction;
 mod cylindrical;
 mod depth_image;
 mod guess;
@@ -16,6 +17,7 @@ mod tables;
 pub(crate) mod testing;
 mod unorganized;
 
+pub use correction::{BeamCorrection, CorrectionError, SensorCorrection};
 pub use cylindrical::{CylindricalPoint, CylindricalProjection};
 pub use depth_image::DepthImage;
 pub use guess::guess;
