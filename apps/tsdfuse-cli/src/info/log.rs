@@ -182,11 +182,10 @@ impl Sample {
 
 /// How many samples there are: in a recording by its index, of the topic with the most.
 fn samples(log: &Log, kind: &str, count: impl Fn(&Log) -> tsdfuse_io::Result<usize>) -> Result<usize> {
-    match log.recorded() {
-        Some(recorded) => {
-            let topics = recorded.topics.iter().filter(|topic| topic.kind.ends_with(kind));
-            Ok(topics.map(|topic| topic.messages).max().unwrap_or(0))
-        }
+    let topics = log.recorded().map_or(&[][..], |recorded| &recorded.topics);
+    let of_kind = topics.iter().filter(|topic| topic.kind.ends_with(kind));
+    match of_kind.map(|topic| topic.messages).max() {
+        Some(messages) => Ok(messages),
         None => Ok(count(log)?),
     }
 }

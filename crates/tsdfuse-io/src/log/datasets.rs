@@ -148,6 +148,24 @@ fn kitti_360_has_poses_for_some_frames() {
     );
 }
 
+/// A sequence of SemanticKITTI: poses of the camera beside the scans, and labels, which are passed over. KITTI's elevations are corrected.
+#[test]
+fn semantic_kitti_has_its_own_poses() {
+    let name = "semantic_kitti/dataset/sequences/08";
+    let log = checked(name, "KITTI odometry", 3, 1e-4);
+    assert_eq!(log.scans()[2].time_ns, Some(200_000_000));
+    let corrected = opened(name, &OpenOptions::default());
+    assert_eq!(corrected.sensors()[0].elevation_correction_deg, 0.205);
+    let (a, b) = (log.read(0).unwrap(), corrected.read(0).unwrap());
+    let elevation = |p: &tsdfuse::glam::Vec3| p.z.atan2(p.x.hypot(p.y)).to_degrees();
+    let turned = a.points.iter().zip(&b.points).map(|(a, b)| elevation(b) - elevation(a));
+    assert!(
+        turned.clone().all(|deg| (deg - 0.205).abs() < 1e-3),
+        "{:?}",
+        turned.collect::<Vec<_>>()
+    );
+}
+
 #[test]
 fn mulran_is_placed_by_its_vehicle() {
     let log = checked("mulran", "MulRan", 3, 1e-3);

@@ -217,7 +217,22 @@ def newer_college():
         write(f"newer_college/raw_format/ouster_scan/cloud_{time // 10**9}_{time % 10**9:09}.pcd", text.encode() + body_bytes)
 
 
-MAKERS = [nuscenes, argoverse, kitti360, mulran, helipr, nclt, newer_college]
+def semantic_kitti():
+    """Poses of the camera in the sequence's own folder; labels beside the scans; calib.txt as of KITTI odometry."""
+    camera_from_velodyne = matrix(R.from_euler("zyx", [1.55, -1.56, 0.02]), [-0.01, -0.06, -0.29])
+    body_from_sensor = matrix(R.from_euler("z", 0.02), [0.3, 0.0, 1.7])
+    folder = "semantic_kitti/dataset/sequences/08"
+    projection = "718.0 0.0 607.0 0.0 0.0 718.0 185.0 0.0 0.0 0.0 1.0 0.0"
+    write(f"{folder}/calib.txt", "".join(f"P{i}: {projection}\n" for i in range(4)) + f"Tr: {rows(camera_from_velodyne)}\n")
+    poses = [body(0.1 * k) @ body_from_sensor for k in range(3)]
+    write(f"{folder}/poses.txt", "".join(rows(camera_from_velodyne @ p @ np.linalg.inv(camera_from_velodyne)) + "\n" for p in poses))
+    write(f"{folder}/times.txt", "".join(f"{0.1 * k:.6e}\n" for k in range(3)))
+    for k in range(3):
+        write(f"{folder}/velodyne/{k:06}.bin", kitti_bin(seen(0.1 * k, body_from_sensor)))
+        write(f"{folder}/labels/{k:06}.label", np.full(N, 40 | 7 << 16, "<u4").tobytes())
+
+
+MAKERS = [nuscenes, argoverse, kitti360, semantic_kitti, mulran, helipr, nclt, newer_college]
 
 
 def tables():
