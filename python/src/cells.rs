@@ -1,6 +1,8 @@
 //! Cells: cubes of regions, which a map too large for one machine is divided into. Each is a file of its own.
 
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 use glam::IVec3;
@@ -100,19 +102,64 @@ impl Reach {
 #[derive(Debug, Serialize)]
 struct Written {
     cell: [i32; 3],
-    path: PathBuf,
     blocks: usize,
+    /// CRC-32 of each file, hexadecimal.
+    checksum: String,
+    skin_checksum: Option<String>,
 }
 
-/// Writes the blocks of some regions that are wanted, as a saved map; how many there were.
+/// Hands bytes on, and sums them up.
+struct Summed<W> {
+    out: W,
+    sum: crc32fast::Hasher,
+}
+
+impl<W: Write> Write for Summed<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.out.write(bytes)?;
+        self.sum.update(&bytes[..written]);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
+    }
+}
+
+fn hexadecimal(sum: u32) -> String {
+    format!("{sum:08x}")
+}
+
+/// The checksum of a file (CRC-32, hexadecimal).
+#[pyfunction]
+pub(crate) fn checksum(py: Python<'_>, path: PathBuf) -> PyResult<String> {
+    let sum = py.detach(|| {
+        let mut file = File::open(&path)?;
+        let mut sum = crc32fast::Hasher::new();
+        let mut bytes = vec![0; 1 << 18];
+        loop {
+            match file.read(&mut bytes)? {
+                0 => return Ok(sum.finalize()),
+                read => sum.update(&bytes[..read]),
+            }
+        }
+    });
+    Ok(hexadecimal(sum.map_err(tsdfuse_io::Error::io(&path)).or_raise()?))
+}
+
+/// Writes the blocks of some regions that are wanted, as a saved map; how many there were, and the file's checksum.
 fn write(
     map: &VoxelMap,
     regions: &[RegionIndex],
     path: &Path,
     wanted: impl Fn(BlockIndex) -> bool,
-) -> Result<usize, tsdfuse_io::Error> {
-    let mut blocks = 0;
+) -> Result<(usize, String), tsdfuse_io::Error> {
+    let (mut blocks, mut sum) = (0, 0);
     tsdfuse_io::atomic::write(path, |out| {
+        let out = Summed {
+            out,
+            sum: crc32fast::Hasher::new(),
+        };
         let mut writer = Writer::new(out, map.config(), map.integrations())?;
         for &region in regions {
             for (index, block) in map.blocks_of(region).filter(|(index, _)| wanted(*index)) {
@@ -120,13 +167,14 @@ fn write(
                 blocks += 1;
             }
         }
-        writer.finish().map(drop)
+        sum = writer.finish()?.sum.finalize();
+        Ok(())
     })?;
-    Ok(blocks)
+    Ok((blocks, hexadecimal(sum)))
 }
 
-/// Writes a map cell by cell, `FOLDER/X_Y_Z.tsdf`; with `skin`, also the outermost blocks of each cell, `FOLDER/X_Y_Z.skin`, which its
-/// neighbours need for their meshes.
+/// Writes a map cell by cell, `FOLDER/X_Y_Z.tsdf`. With `skin`, the outermost blocks of each cell, which its neighbours need for their
+/// meshes, are not in there but in a file of their own, `FOLDER/X_Y_Z.skin`: a cell is both.
 #[pyfunction]
 #[pyo3(signature = (map, folder, edge, *, skin=false))]
 pub(crate) fn write_cells<'py>(
@@ -151,15 +199,22 @@ pub(crate) fn write_cells<'py>(
         }
         let of_cell = |(cell, regions): &(IVec3, Vec<RegionIndex>)| {
             let path = folder.join(format!("{}_{}_{}.tsdf", cell.x, cell.y, cell.z));
-            let blocks = write(map, regions, &path, |_| true)?;
+            let first = (*cell * edge) << REGION_SHIFT;
+            let last = first + (edge << REGION_SHIFT) - 1;
+            let is_outermost = |BlockIndex(b): BlockIndex| b.cmpeq(first).any() || b.cmpeq(last).any();
+            let (mut blocks, checksum) = write(map, regions, &path, |block| !skin || !is_outermost(block))?;
+            let mut skin_checksum = None;
             if skin {
-                let first = (*cell * edge) << REGION_SHIFT;
-                let last = first + (edge << REGION_SHIFT) - 1;
-                let is_outermost = |BlockIndex(b): BlockIndex| b.cmpeq(first).any() || b.cmpeq(last).any();
-                write(map, regions, &path.with_extension("skin"), is_outermost)?;
+                let (outermost, sum) = write(map, regions, &path.with_extension("skin"), is_outermost)?;
+                blocks += outermost;
+                skin_checksum = Some(sum);
             }
-            let cell = cell.to_array();
-            Ok(Written { cell, path, blocks })
+            Ok(Written {
+                cell: cell.to_array(),
+                blocks,
+                checksum,
+                skin_checksum,
+            })
         };
         let cells: Vec<_> = cells.into_values().collect();
         cells

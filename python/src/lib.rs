@@ -29,7 +29,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::cells::{Reach, write_cells};
+    use super::cells::{Reach, checksum, write_cells};
     #[pymodule_export]
     use super::config::Config;
     #[pymodule_export]

@@ -6,13 +6,13 @@ use std::sync::{Mutex, PoisonError};
 use numpy::{PyArray1, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use tsdfuse::Pose;
+use tsdfuse::{ImuSample, Pose};
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::poses::{self, Poses};
 use tsdfuse_odometry::{OdometryConfig, Tracker};
 use tsdfuse_run::{Event, Observer};
 
-use crate::arrays::{column, pose_arrays};
+use crate::arrays::{Rows, column, pose_arrays};
 use crate::config::Config;
 use crate::data::to_python;
 use crate::error::{OrRaise, wrong};
@@ -137,18 +137,22 @@ impl Trajectory {
 
 /// Tracks or refines the scans of a log.
 #[pyfunction]
-#[pyo3(signature = (log, *, scans=None, refine=false, config=None, progress=None, **options))]
+#[pyo3(signature = (log, *, scans=None, refine=false, loops=true, save_graph=None, config=None, progress=None, **options))]
+#[allow(clippy::too_many_arguments)] // keywords
 pub(crate) fn track(
     py: Python<'_>,
     log: &Log,
     scans: Option<&Bound<'_, PyAny>>,
     refine: bool,
+    loops: bool,
+    save_graph: Option<PathBuf>,
     config: Option<&Bound<'_, PyAny>>,
     progress: Option<Py<PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Trajectory> {
     let config = Config::layered(config, options)?.0.resolve(&log.log).or_raise()?;
     let selection = selection(scans)?;
+    let loops = loops.then_some(config.loops);
     let total = log.log.len().map(|scans| selection.indices(scans).len());
     let (tracked, report) = work(py, progress, |stop, teller| {
         teller.on(Event::Begun {
@@ -159,26 +163,14 @@ pub(crate) fn track(
         });
         let start = std::time::Instant::now();
         let tracked = if refine {
-            tsdfuse_run::refine(
-                &log.log,
-                &selection,
-                config.odometry,
-                Some(config.loops),
-                config.range,
-                stop,
-                teller,
-            )
+            tsdfuse_run::refine(&log.log, &selection, config.odometry, loops, config.range, stop, teller)
         } else {
-            tsdfuse_run::track(
-                &log.log,
-                &selection,
-                config.odometry,
-                Some(config.loops),
-                config.range,
-                stop,
-            )
+            tsdfuse_run::track(&log.log, &selection, config.odometry, loops, config.range, stop)
         };
         let tracked = tracked.or_raise()?;
+        if let (Some(path), Some(graph)) = (&save_graph, &tracked.graph) {
+            tsdfuse_io::g2o::write(path, graph).or_raise()?;
+        }
         let report = tracked.report(start.elapsed().as_secs_f64());
         Ok((tracked.scans, report))
     })?;
@@ -208,6 +200,44 @@ impl Odometry {
             tracker: Mutex::new(Tracker::new(odometry)),
             config,
         })
+    }
+
+    /// Takes samples of an inertial measurement unit, in the sensor's frame and in order of time: nanoseconds (N,), rates of turn (N, 3),
+    /// rad/s, and specific force (N, 3), m/s². They come before the scan during which they were measured.
+    fn push_imu(
+        &self,
+        times_ns: &Bound<'_, PyAny>,
+        angular_velocity: &Bound<'_, PyAny>,
+        acceleration: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
+        let times = column::<i64>("times_ns", times_ns)?;
+        let (rates, forces) = (
+            Rows::<f64>::of("angular_velocity", angular_velocity)?,
+            Rows::<f64>::of("acceleration", acceleration)?,
+        );
+        let (rates, forces) = (rates.vectors()?, forces.vectors()?);
+        if times.len() != rates.len() || times.len() != forces.len() {
+            let counts = format_args!(
+                "{} times, {} rates and {} forces",
+                times.len(),
+                rates.len(),
+                forces.len()
+            );
+            return Err(wrong(format_args!("{counts} are no samples")));
+        }
+        let samples = times
+            .into_iter()
+            .zip(rates)
+            .zip(forces)
+            .map(|((time_ns, rate), force)| ImuSample {
+                time_ns,
+                angular_velocity: *rate,
+                acceleration: *force,
+                orientation: None,
+            });
+        let mut tracker = self.tracker.lock().unwrap_or_else(PoisonError::into_inner);
+        tracker.push_imu(samples);
+        Ok(())
     }
 
     /// Takes a scan; those that are placed by now come back, with how well.

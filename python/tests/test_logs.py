@@ -77,9 +77,28 @@ def test_odometry_finds_the_poses(room: tsdfuse.Simulation, log: Path) -> None:
         (log / "truth.txt").rename(log / "poses.txt")
     truth = np.linalg.inv(room.poses[0]) @ room.poses
     assert np.abs(poses[:, :3, 3] - truth[:, :3, 3]).max() < 0.05
-    tracker = tsdfuse.Odometry()
+    tracker = tsdfuse.Odometry(config={"odometry.imu": True})
+    # A unit at rest: what it tells is used or not, but takes nothing away.
+    seconds = np.arange(-0.5, 3, 0.01)
+    first = tsdfuse.open(log)[0].time_ns or 0
+    rows = np.zeros((len(seconds), 3))
+    tracker.push_imu(first + (seconds * 1e9).astype(np.int64), rows, rows + [0, 0, 9.8])
+    with pytest.raises(ValueError, match="no samples"):
+        tracker.push_imu([1, 2], rows, rows)
     placed = [scan for raw in room for scan, _ in tracker.push(raw.cleaned_by())] + [scan for scan, _ in tracker.finish()]
     assert np.abs(np.array([scan.pose for scan in placed]) - poses).max() < 0.05
+
+
+def test_options_of_odometry_and_loops_are_keywords(log: Path, tmp_path: Path) -> None:
+    graph = tmp_path / "graph.g2o"
+    found = tsdfuse.odometry(
+        log, scans="0..6", loops=True, save_graph=graph, min_range=0.6, config={"loops.gap_m": 20, "odometry.imu": False}
+    )
+    assert len(found) == 6 and graph.read_text().startswith("VERTEX_SE3:QUAT")
+    open_ = tsdfuse.odometry(log, scans="0..6", loops=False)
+    assert np.abs(open_.poses - found.poses).max() < 0.05
+    with pytest.raises(tsdfuse.ConfigError, match="loops"):
+        tsdfuse.odometry(log, config={"loops.gap": 20})
 
 
 def test_simulations_are_what_the_command_writes(room: tsdfuse.Simulation, log: Path) -> None:

@@ -42,7 +42,8 @@ def whole(log: Path, tmp_path_factory: pytest.TempPathFactory) -> tsdfuse.Map:
 def united(work: Path, **options: Any) -> tsdfuse.Map:
     """All cells as one map."""
     made = tsdfuse.Map(**OPTIONS, **options)
-    made.merge(*(work / cell["map"]["name"] for cell in json.loads((work / "cells.json").read_text())))
+    cells = json.loads((work / "cells.json").read_text())
+    made.merge(*(work / cell[kind]["name"] for cell in cells for kind in ("map", "skin")))
     return made
 
 
@@ -149,7 +150,7 @@ def test_a_driver_that_is_started_again_does_nothing_twice(
     assert before["fuse"] == tasks["fuse"] == 3 and 3 <= before["merge-0"] < tasks["merge-0"] and before["tile"] == 0
     assert united(tmp_path / "city.work") == whole
     # A record that is missing is made again, and it and its files are the same.
-    files = {path: path.read_bytes() for path in (tmp_path / "city.work").rglob("*.tsdf")}
+    files = {path: path.read_bytes() for path in (tmp_path / "city.work").rglob("*.[ts]*") if path.suffix in (".tsdf", ".skin")}
     records = tmp_path / "city.work/records"
     (records / "fuse" / "00000-0000005.json").unlink()
     for record in (records / "merge-0").glob("*.json"):
@@ -263,3 +264,36 @@ def test_the_command(log: Path, whole: tsdfuse.Map, tmp_path: Path) -> None:
     assert united(tmp_path / "city.work") == whole
     wrong = subprocess.run([*command[:3], "fuse", str(log), "-o", "x.ply"], capture_output=True, text=True, check=False)
     assert wrong.returncode == 2 and "NAME/tileset.json" in wrong.stderr
+
+
+def test_an_object_store_holds_everything(log: Path, whole: tsdfuse.Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    server = pytest.importorskip("moto.server").ThreadedMotoServer(port=0)
+    s3fs = pytest.importorskip("s3fs")
+    server.start()
+    host, port = server.get_host_and_port()
+    told = {"FSSPEC_S3_ENDPOINT_URL": f"http://{host}:{port}", "FSSPEC_S3_KEY": "a", "FSSPEC_S3_SECRET": "b"}
+    ray.shutdown()
+    try:
+        store = s3fs.S3FileSystem(endpoint_url=told["FSSPEC_S3_ENDPOINT_URL"], key="a", secret="b", skip_instance_cache=True)
+        store.mkdir("bucket")
+        store.put(str(log), "bucket/log", recursive=True)
+        # fsspec reads its environment when it is loaded: here, and in the workers.
+        import fsspec
+
+        monkeypatch.setitem(fsspec.config.conf, "s3", {"endpoint_url": told["FSSPEC_S3_ENDPOINT_URL"], "key": "a", "secret": "b"})
+        ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, runtime_env={"env_vars": told})
+        again: dict[str, Any] = {"work": "s3://bucket/work", "method": "raycast", **SMALL}
+        report = tsdfuse.ray.fuse("s3://bucket/log", "s3://bucket/city/tileset.json", **again)
+        assert report["additive"] and report["scans"] == 12
+        # A second call finds all of it.
+        again_told = tsdfuse.ray.fuse("s3://bucket/log", "s3://bucket/city/tileset.json", **again)
+        assert all(phase["done_before"] == phase["tasks"] for phase in again_told["phases"])
+        store.invalidate_cache()
+        store.get("bucket/work", str(tmp_path / "work"), recursive=True)
+        assert united(tmp_path / "work") == whole
+        tileset = json.loads(store.cat("bucket/city/tileset.json"))
+        uris = [node["content"]["uri"] for node in nodes(tileset["root"]) if "content" in node]
+        assert uris and all(store.exists(f"bucket/city/{uri}") for uri in uris)
+    finally:
+        ray.shutdown()
+        server.stop()

@@ -515,6 +515,9 @@ class Odometry:
     """Tracks scan by scan: each comes out placed, the first one after the second went in."""
 
     def __new__(cls, *, config: _Settings | None = None, **options: Any) -> Odometry: ...
+    def push_imu(self, times_ns: ArrayLike, angular_velocity: ArrayLike, acceleration: ArrayLike) -> None:
+        """Takes samples of an inertial measurement unit, in the sensor's frame and in order of time: nanoseconds (N,), rad/s (N, 3) and
+        m/s² (N, 3). They come before the scan during which they were measured."""
     def push(self, scan: Scan) -> list[tuple[Scan, dict[str, Any]]]:
         """Takes a scan; those that are placed by now come back, with how well."""
     def finish(self) -> list[tuple[Scan, dict[str, Any]]]:
@@ -560,12 +563,17 @@ def track(
     *,
     scans: Mapping[str, Any] | None = None,
     refine: bool = False,
+    loops: bool = True,
+    save_graph: _Path | None = None,
     config: _Settings | None = None,
     progress: _Progress | None = None,
     **options: Any,
 ) -> Trajectory: ...
 def write_cells(map: Map, folder: _Path, edge: int, *, skin: bool = False) -> list[dict[str, Any]]:
-    """Writes a map cell by cell: ``FOLDER/X_Y_Z.tsdf``, and with ``skin`` the outermost blocks of each, ``FOLDER/X_Y_Z.skin``."""
+    """Writes a map cell by cell: ``FOLDER/X_Y_Z.tsdf``; with ``skin`` the outermost blocks of each are in ``FOLDER/X_Y_Z.skin`` instead."""
+
+def checksum(path: _Path) -> str:
+    """The CRC-32 of a file, hexadecimal."""
 
 def sensor(name: str) -> dict[str, Any]:
     """The model of a sensor: beams (degrees), columns, ranges (m)."""

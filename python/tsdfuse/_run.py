@@ -65,13 +65,13 @@ def open_options(
     return options
 
 
-def pose_fields(matrix: ArrayLike) -> dict[str, Any]:
+def pose_fields(matrix: ArrayLike, name: str = "extrinsics") -> dict[str, Any]:
     """Rotation (quaternion x, y, z, w) and translation of a rigid matrix."""
     import numpy as np
 
     m: np.ndarray[Any, Any] = np.asarray(matrix, dtype=float)
     if m.shape not in ((3, 4), (4, 4)) or np.abs(m[:3, :3].T @ m[:3, :3] - np.eye(3)).max() > 1e-3:
-        raise ConfigError("extrinsics must be a rigid matrix of the shape (4, 4)")
+        raise ConfigError(f"{name} must be a rigid matrix of the shape (4, 4)")
     # The quaternion is the eigenvector of the largest eigenvalue (Bar-Itzhack 2000).
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = m[:3, :3].tolist()
     k = [
@@ -129,7 +129,11 @@ def job(
     memory: Size | None = None,
     store: Path | None = None,
     commit_every: int = 100,
+    loops: bool = True,
     load_map: Path | None = None,
+    initial_pose: ArrayLike | None = None,
+    color: bool = False,
+    intensity: bool = False,
     save_map: Path | None = None,
     save_poses: Path | None = None,
     preview: Path | None = None,
@@ -147,15 +151,19 @@ def job(
             "skip_bad": skip_bad,
         },
         "poses": origin,
+        "open_loops": not loops,
         "settings": _core.Config(config, **options).settings(),
         "device": device,
         "memory_bytes": size(memory),
         "store": store,
         "commit_every": commit_every,
         "load_map": load_map,
+        "initial_pose": None if initial_pose is None else pose_fields(initial_pose, "initial_pose"),
         "outputs": {
             "mesh": output,
             "mesh_every": mesh_every,
+            "color": color,
+            "intensity": intensity,
             "map": save_map,
             "poses": save_poses,
             "preview": preview,
@@ -192,7 +200,11 @@ def fuse(
     memory: Size | None = None,
     store: Path | None = None,
     commit_every: int = 100,
+    loops: bool = True,
     load_map: Path | None = None,
+    initial_pose: ArrayLike | None = None,
+    color: bool = False,
+    intensity: bool = False,
     save_map: Path | None = None,
     save_poses: Path | None = None,
     preview: Path | None = None,
@@ -223,15 +235,19 @@ def fuse(
     :param device: ``"cpu"``, ``"gpu"`` or ``"gpu:NAME"``.
     :param memory: most memory for blocks of the map, bytes or ``"2G"``; the rest is in a file.
     :param store: keeps the map in this file as it grows; :func:`resume` goes on with it.
+    :param loops: whether the poses that odometry finds, or that are refined, are corrected where the sensor comes back.
     :param load_map: continues a saved map.
+    :param initial_pose: about where in the saved map the first scan was taken (4, 4), if the log has no poses.
+    :param color: the mesh gets the colours that the log's cameras saw.
+    :param intensity: intensities are averaged; the mesh and the map get them.
     :param save_map, save_poses, preview, report: further files to write.
     :param progress: see :data:`Progress`.
     """
     work = job(
         log, output, poses=poses, scans=scans, hold_out=hold_out, sensor=sensor, extrinsics=extrinsics,
         calibration=calibration, skip_bad=skip_bad, config=config, device=device, memory=memory, store=store,
-        commit_every=commit_every, load_map=load_map, save_map=save_map, save_poses=save_poses, preview=preview,
-        report=report, mesh_every=mesh_every, method=method, voxel_size=voxel_size, truncation=truncation,
+        commit_every=commit_every, loops=loops, load_map=load_map, initial_pose=initial_pose, color=color,
+        intensity=intensity, save_map=save_map, save_poses=save_poses, preview=preview, report=report, mesh_every=mesh_every, method=method, voxel_size=voxel_size, truncation=truncation,
         max_weight=max_weight, min_range=min_range, max_range=max_range, min_weight=min_weight,
     )  # fmt: skip
     return run(work, progress=progress)
@@ -292,23 +308,34 @@ def odometry(
     *,
     scans: Which | None = None,
     refine: bool = False,
+    loops: bool = True,
+    save_graph: Path | None = None,
     poses: Path | None = None,
     sensor: str | Sequence[str] | None = None,
+    extrinsics: ArrayLike | None = None,
+    calibration: Path | None = None,
     config: Settings | None = None,
     progress: Progress = None,
     **options: Any,
 ) -> _core.Trajectory:
     """Finds the poses of a log's scans: a :class:`Trajectory` with times (N,) in nanoseconds and ``world_from_sensor`` (N, 4, 4).
 
-    The world is the sensor's frame at its first scan. ``times, poses = tsdfuse.odometry(log)`` works, too.
+    The world is the sensor's frame at its first scan. ``times, poses = tsdfuse.odometry(log)`` works, too. The log's inertial
+    measurement unit, if there is one, is used.
 
     :param refine: improves the log's poses instead: each scan is registered to what the others saw.
-    :param poses: where those come from.
+    :param loops: whether the poses are corrected where the sensor comes back.
+    :param save_graph: writes the pose graph of the loops (g2o).
+    :param poses: where those to refine come from.
+    :param config: options of odometry and of loops, as all others: ``{"loops.gap_m": 20, "odometry.imu": False}``.
+
+    Keywords are those of :class:`Config`: ``min_range``, ``max_range``.
     """
-    opened = log if isinstance(log, _core.Log) else open(log, poses=poses, sensor=sensor)
+    opened = log if isinstance(log, _core.Log) else open(log, poses=poses, sensor=sensor, extrinsics=extrinsics, calibration=calibration)
     return _core.track(
-        opened, scans=selection(scans), refine=refine, config=config, progress=callback(progress, "tracking"), **options
-    )
+        opened, scans=selection(scans), refine=refine, loops=loops, save_graph=save_graph, config=config,
+        progress=callback(progress, "tracking"), **options,
+    )  # fmt: skip
 
 
 def evaluate(

@@ -68,7 +68,7 @@ def fuse(
     :param logs: one or many, in one world; their scans count in this order. Paths that all nodes see, or URLs of fsspec.
     :param output: ``NAME/tileset.json``: 3D Tiles, one tileset over those of all cells.
     :param work: the folder for maps and records, shared by all nodes or a URL; ``NAME.work`` beside the output otherwise. Its ``cells.json``
-        names the saved maps of all cells.
+        names the saved maps of all cells: for each, one of its inner blocks and one of its outermost (``skin``).
     :param span: scans of one task.
     :param memory_per_task: most memory for the map of one task; Ray starts no more tasks on a node than it has memory for.
     :param cpus_per_task: threads of one task.
@@ -217,7 +217,7 @@ class _Run:
             self.skipped += record["skipped"]
             self.fused += record["fused"]
             for part in record["parts"]:
-                self.moved["parts"] += part["map"]["bytes"]
+                self.moved["parts"] += part["map"]["bytes"] + part["skin"]["bytes"]
                 parts.setdefault(named(part["cell"]), []).append(part)
         if not self.fused:
             raise EmptyResultError("none of the scans could be fused")
@@ -275,7 +275,7 @@ class _Run:
             cell, near = part["cell"], (-1, 0, 1)
             self.moved["cells"] += part["map"]["bytes"]
             around = [named([cell[0] + x, cell[1] + y, cell[2] + z]) for x in near for y in near for z in near]
-            skins = [cells[other]["skin"] for other in around if other != name and other in cells]
+            skins = [cells[other]["skin"] for other in around if other in cells]
             self.moved["skins"] += sum(skin["bytes"] for skin in skins)
             tasks.append({"name": name, "cell": cell, "whole": part["map"], "skins": skins})
         records = self.scheduler.run("tile", _tasks.tile, tasks)

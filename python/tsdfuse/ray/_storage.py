@@ -12,21 +12,16 @@ import os
 import shutil
 import tempfile
 import uuid
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from .._core import checksum
 from ..errors import StoreError
 
 
-def checksum(path: Path) -> str:
-    """The checksum of a file (CRC-32): it tells whether this is the file that was written; maps also have their own inside."""
-    found = 0
-    with open(path, "rb") as file:
-        while block := file.read(1 << 20):
-            found = zlib.crc32(block, found)
-    return f"{found:08x}"
+#: Where a file is there at once and whole when it was uploaded, and moving it is another copy.
+OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci"}
 
 
 class Folder:
@@ -62,9 +57,9 @@ class Folder:
                 raise StoreError(f"{self.url}/{name}: is not the file that was written")
             yield path
 
-    def put(self, path: Path, name: str) -> dict[str, Any]:
-        """Moves a local file here; its name, size and checksum."""
-        told = {"name": name, "bytes": path.stat().st_size, "checksum": checksum(path)}
+    def put(self, path: Path, name: str, known: str | None = None) -> dict[str, Any]:
+        """Moves a local file here; its name, size and checksum, if that is not known already."""
+        told = {"name": name, "bytes": path.stat().st_size, "checksum": known or checksum(path)}
         if self.local is not None:
             target = self.local / name
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -73,6 +68,9 @@ class Folder:
             os.replace(beside, target)
         else:
             system, remote = self._remote(name)
+            if self.url.split("://", 1)[0] in OBJECT_STORES:
+                system.put_file(str(path), remote)
+                return told
             system.makedirs(remote.rsplit("/", 1)[0], exist_ok=True)
             aside = f"{remote}.{uuid.uuid4().hex}"
             system.put_file(str(path), aside)
@@ -107,6 +105,7 @@ class Folder:
             folder = self.local / name
             return set(os.listdir(folder)) if folder.is_dir() else set()
         system, remote = self._remote(name)
+        system.invalidate_cache()  # others have written meanwhile
         try:
             return {found.rstrip("/").rsplit("/", 1)[-1] for found in system.ls(remote, detail=False)}
         except FileNotFoundError:

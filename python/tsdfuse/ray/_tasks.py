@@ -94,13 +94,13 @@ def fuse_span(job: Task, task: Task) -> Record:
 
 
 def put(work: Folder, folder: LocalPath, cell: Record, into: str) -> Record:
-    """Shares a cell that was written, and what its neighbours need of it."""
+    """Shares a cell that was written: its inner blocks, and the outermost, which its neighbours need, too."""
     name = named(cell["cell"])
     return {
         "cell": cell["cell"],
         "blocks": cell["blocks"],
-        "map": work.put(folder / f"{name}.tsdf", f"{into}.tsdf"),
-        "skin": work.put(folder / f"{name}.skin", f"{into}.skin"),
+        "map": work.put(folder / f"{name}.tsdf", f"{into}.tsdf", cell["checksum"]),
+        "skin": work.put(folder / f"{name}.skin", f"{into}.skin", cell["skin_checksum"]),
     }
 
 
@@ -124,10 +124,10 @@ def merge(job: Task, task: Task) -> Record:
     """Parts of one cell, added."""
     clock, work, limited, reading = Clock(), Folder(job["work"]), 0, 0
     made = empty(job)
-    for part in task["parts"]:
-        with work.reading(part["map"]["name"], part["map"]["checksum"]) as path:
+    for part in (part[kind] for part in task["parts"] for kind in ("map", "skin")):
+        with work.reading(part["name"], part["checksum"]) as path:
             limited += made.merge(path)
-            reading += part["map"]["bytes"]
+            reading += part["bytes"]
     clock.stage("merge")
     part = written(job, made, task["into"])
     clock.stage("write")
