@@ -236,6 +236,44 @@ fn a_file_that_unpacks_without_end_is_refused() {
 }
 
 #[test]
+fn samples_of_an_imu_are_written_and_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = only(&data("lz4.mcap"), "/points");
+    let scan = log.read(0).unwrap();
+    let sensor_from_body = log.sensors()[0].body_from_sensor.rotation.inverse();
+    let mut samples = log.imu().unwrap();
+    for sample in &mut samples {
+        sample.angular_velocity = sensor_from_body * sample.angular_velocity;
+        sample.acceleration = sensor_from_body * sample.acceleration;
+    }
+    let (recording, plain) = (folder.path().join("out.mcap"), folder.path().join("plain"));
+    let mut writer = super::Writer::create(&recording, log.sensors()).unwrap();
+    writer.write_scan(0, &scan).unwrap();
+    writer.write_imu(&samples).unwrap();
+    writer.finish().unwrap();
+    let mut writer = crate::plain::Writer::create(&plain).unwrap();
+    writer.write_scan(&scan).unwrap();
+    // Of two at one time, one is left.
+    writer
+        .write_imu(&[&samples[..], &samples[samples.len() - 1..]].concat())
+        .unwrap();
+    writer.finish().unwrap();
+    for path in [recording, plain] {
+        let back = open(&path).unwrap().imu().unwrap();
+        assert_eq!(back.len(), samples.len());
+        for (a, b) in back.iter().zip(&samples) {
+            assert_eq!(
+                (a.time_ns, a.angular_velocity),
+                (b.time_ns, b.angular_velocity),
+                "{}",
+                path.display()
+            );
+            assert_eq!(a.acceleration, b.acceleration);
+        }
+    }
+}
+
+#[test]
 fn what_is_no_scan_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("empty.mcap");
