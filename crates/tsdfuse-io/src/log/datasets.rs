@@ -155,7 +155,7 @@ fn semantic_kitti_has_its_own_poses() {
     let log = checked(name, "KITTI odometry", 3, 1e-4);
     assert_eq!(log.scans()[2].time_ns, Some(200_000_000));
     let corrected = opened(name, &OpenOptions::default());
-    assert_eq!(corrected.sensors()[0].elevation_correction_deg, 0.205);
+    assert_eq!(corrected.sensors()[0].correction.elevation_deg, 0.205);
     let (a, b) = (log.read(0).unwrap(), corrected.read(0).unwrap());
     let elevation = |p: &tsdfuse::glam::Vec3| p.z.atan2(p.x.hypot(p.y)).to_degrees();
     let turned = a.points.iter().zip(&b.points).map(|(a, b)| elevation(b) - elevation(a));
