@@ -25,17 +25,19 @@ Examples:
   tsdfuse fuse pandaset/002 --load-map street.tsdf -o street.ply --scans 40..80
   tsdfuse fuse second-drive --load-map street.tsdf --initial-pose 12,3,0,90 -o both.ply
   tsdfuse fuse drive -o drive.ply --memory 2G --store drive.store
+  tsdfuse fuse drive -o drive.ply --leave-out-moving --record drive.mcap
   tsdfuse fuse drive -o drive.ply --poses track --save-poses drive.tum
   tsdfuse fuse street -o street.ply --config run.toml --set raycast.distance=projective
 
 Settings: defaults < the log's suggestions < --config < --set < flags. A report records the resolved settings.
+`picture = true` in ~/.config/tsdfuse/settings.toml leaves a picture beside each mesh.
 Ctrl-C stops after the current scan and writes the result so far; a second Ctrl-C exits at once.";
 
 /// What a run can be for.
 const RESULTS: &[&str] = if cfg!(feature = "view") {
-    &["output", "save_map", "preview", "store", "view"]
+    &["output", "save_map", "preview", "store", "record", "view"]
 } else {
-    &["output", "save_map", "preview", "store"]
+    &["output", "save_map", "preview", "store", "record"]
 };
 
 /// Fuse scans into a map and extract its surface.
@@ -45,13 +47,23 @@ pub(crate) struct Args {
     /// Write the mesh: .ply, .glb or .obj; .html for a page that shows it in any browser; NAME/tileset.json for 3D Tiles in a new folder; `-` for PLY on standard output.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Give the mesh the colours that the log's cameras saw: .ply, .glb or .html.
+    /// Give the mesh the colours that the log's cameras saw: .ply, .glb, .html or tiles; with --save-map they are saved beside the map.
     #[arg(long, requires = "output")]
     color: bool,
-    /// Average how strongly surfaces reflect: as grey in .ply and .glb (unless --color), as numbers in .html, and beside --save-map
-    /// as NAME.intensity.tsdf.
+    /// Average how strongly surfaces reflect: as grey in .ply, .glb and tiles (unless --color), as numbers in .html, and beside
+    /// --save-map or --store as NAME.intensity.tsdf.
     #[arg(long)]
     intensity: bool,
+    /// Leave out returns of things that move: those in space that was known to be free.
+    #[arg(long)]
+    leave_out_moving: bool,
+    /// Write into this folder for each scan which of its returns move: NUMBER.label as SemanticKITTI has them (9 stays, 251 moves,
+    /// 0 was not looked at).
+    #[arg(long, value_name = "DIR")]
+    labels: Option<PathBuf>,
+    /// Record the run for Foxglove and RViz (.mcap): scans, tf, odometry, the surface as it grows, and an occupancy grid.
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
     /// Also write the mesh so far to --output after every N scans, for a viewer that reloads it.
     #[arg(long, value_name = "N", requires = "output", value_parser = clap::value_parser!(u32).range(1..))]
     mesh_every: Option<u32>,
@@ -142,17 +154,38 @@ pub(crate) fn done(report: &Report, json: bool) -> Result<Outcome> {
 }
 
 impl Args {
+    /// The picture: the one that is asked for, or the one beside the mesh, if the user's settings ask for that once and for all.
+    fn preview(&self) -> Result<Option<PathBuf>> {
+        let beside = || {
+            let mesh = self
+                .output
+                .as_ref()
+                .filter(|_| self.memory.is_none() && self.store.is_none())?;
+            let is_file = mesh.as_os_str() != "-" && mesh.extension().is_some_and(|e| e != "json");
+            is_file.then(|| mesh.with_extension("png"))
+        };
+        Ok(match &self.preview {
+            Some(preview) => Some(preview.clone()),
+            None if crate::user::settings()?.picture => beside(),
+            None => None,
+        })
+    }
+
     fn job(&self) -> Result<Job> {
         if let Some(mesh) = &self.output {
             output::check_terminal(mesh, self.json)?;
         }
         let mut input = self.log.input();
         input.selection.hold_out = self.hold_out.map(|every| every as usize);
+        let mut settings = self.log.settings(self.method.as_deref())?;
+        if self.leave_out_moving {
+            settings.set("--leave-out-moving", "moving.leave_out", true)?;
+        }
         let mut job = Job {
             input,
             poses: self.log.poses_from(),
             open_loops: !self.loops.is_on(),
-            settings: self.log.settings(self.method.as_deref())?,
+            settings,
             device: self.device.clone(),
             memory_bytes: self.memory.map(|memory| memory.0),
             store: self.store.clone(),
@@ -163,11 +196,13 @@ impl Args {
                 mesh: self.output.clone(),
                 color: self.color,
                 intensity: self.intensity,
+                recording: self.record.clone(),
+                labels: self.labels.clone(),
                 mesh_every: self.mesh_every.map(|every| every as usize),
                 map: self.save_map.clone(),
                 poses: self.save_poses.clone(),
                 sensor: self.save_sensor.clone(),
-                preview: self.preview.clone(),
+                preview: self.preview()?,
                 report: self.report.clone(),
             },
             ..Job::default()

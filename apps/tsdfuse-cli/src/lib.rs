@@ -24,6 +24,7 @@ mod resume;
 mod run_job;
 mod simulate;
 mod terminal;
+mod user;
 #[cfg(feature = "view")]
 mod view;
 

@@ -18,8 +18,8 @@ use tsdfuse::{Pose, VoxelMap};
 use tsdfuse_io::map_file::{self, Damage, FusedPose, Reader};
 use tsdfuse_loops::{Alignment, Mapped};
 
-use tsdfuse_run::check_outputs;
 use tsdfuse_run::report::{MapReport, SavedMap};
+use tsdfuse_run::{check_outputs, layer};
 use tsdfuse_store::Salvage;
 
 use crate::args::parse_triple;
@@ -44,6 +44,7 @@ Examples:
   tsdfuse map slice hall.tsdf --height 1.2 -o plan.png
   tsdfuse map section street.tsdf --from 0,-15 --to 0,15 -o section.png
   tsdfuse map terrain drive.tsdf -o ground.tif --surface top.tif --cell 0.25 --epsg 32632
+  tsdfuse map ground drive.tsdf --max-step 0.15 -o ground.tif
 
 `tsdfuse info MAP` describes a map.";
 
@@ -68,6 +69,7 @@ enum Command {
     Slice(plan::Slice),
     Section(plan::Section),
     Terrain(plan::Terrain),
+    Ground(plan::Ground),
 }
 
 /// What makes a map of maps.
@@ -137,7 +139,7 @@ enum Operation {
 }
 
 /// Where the result goes.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 struct Out {
     /// The map to write.
     #[arg(short, long, value_name = "FILE")]
@@ -212,6 +214,7 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
         Command::Slice(args) => return plan::slice(args),
         Command::Section(args) => return plan::section(args),
         Command::Terrain(args) => return plan::terrain(args),
+        Command::Ground(args) => return plan::ground(args),
     };
     let out = operation.out();
     check_outputs(&operation.inputs(), &[&out.output])?;
@@ -219,6 +222,7 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
     let made = operation.run()?;
     let start = Instant::now();
     map_file::write_with_poses(&out.output, &made.map, &made.poses)?;
+    let layers = operation.run_for_layers()?;
     drop(spinner);
     let done = Done {
         map: MapReport::of(&made.map),
@@ -231,6 +235,9 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
     let lost = done.say();
     terminal::map(&done.map, None);
     terminal::saved_map(&done.saved_map);
+    for layer in layers {
+        say(format_args!("  wrote    {}", layer.display()));
+    }
     if out.json {
         print_json(&done)?;
     }
@@ -238,6 +245,45 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
 }
 
 impl Operation {
+    /// Does the same to the intensities and colours that lie beside all of the maps; what was written. Of a repaired map they are left
+    /// alone, since they may be whole; resampled and aligned ones are none.
+    fn run_for_layers(&self) -> Result<Vec<PathBuf>> {
+        let mut written = Vec::new();
+        for name in layer::NAMES {
+            let beside = |path: &Path| layer::path_beside(path, name);
+            if !self.inputs().iter().all(|path| beside(path).is_file()) {
+                continue;
+            }
+            let made = match self {
+                Self::Merge { maps, .. } => merge(&maps.iter().map(|map| beside(map)).collect::<Vec<_>>())?,
+                Self::Crop { map, from, to, out } => Self::Crop {
+                    map: beside(map),
+                    from: *from,
+                    to: *to,
+                    out: out.clone(),
+                }
+                .run()?,
+                Self::Transform {
+                    map,
+                    rotation,
+                    translation,
+                    out,
+                } => Self::Transform {
+                    map: beside(map),
+                    rotation: *rotation,
+                    translation: *translation,
+                    out: out.clone(),
+                }
+                .run()?,
+                Self::Resample { .. } | Self::Align { .. } | Self::Repair { .. } => continue,
+            };
+            let path = beside(&self.out().output);
+            map_file::write_with_poses(&path, &made.map, &[])?;
+            written.push(path);
+        }
+        Ok(written)
+    }
+
     /// Where the map goes.
     fn out(&self) -> &Out {
         match self {

@@ -7,7 +7,7 @@ use anyhow::Result;
 use serde::Serialize;
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse_run::report::{MapReport, MeshReport};
-use tsdfuse_run::{Device, check_outputs, scene, surface};
+use tsdfuse_run::{Device, Layers, check_outputs, scene, surface};
 
 use crate::exit::{self, Outcome, Usage};
 use crate::maps::open_store;
@@ -21,7 +21,7 @@ Examples:
   tsdfuse mesh street.tsdf -o street.html
   tsdfuse mesh drive.store -o drive/tileset.json";
 
-/// Extract the surface of a saved map or of a store.
+/// Extract the surface of a saved map or of a store, with the colours and intensities that were saved beside it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
@@ -89,7 +89,14 @@ impl Args {
             read_seconds,
             map: report,
             config,
-            mesh: surface::write_by(|| self.device.mesh(&map, &config), &map, &config, &self.output, &scene)?,
+            mesh: surface::write_by(
+                || self.device.mesh(&map, &config),
+                &map,
+                &config,
+                &self.output,
+                &scene,
+                &Layers::read_beside(&self.map)?,
+            )?,
         })
     }
 
@@ -104,7 +111,8 @@ impl Args {
         let report = MapReport::of_paged(&map);
         let title = self.map.to_string_lossy();
         let scene = scene::of_map(&title, map.config().voxel_size_m, &report, map.poses());
-        let mesh = surface::write_in_parts(&mut map, &config, &self.output, &scene)?;
+        let layers = Layers::read_beside(&self.map)?;
+        let mesh = surface::write_in_parts_with(&mut map, &config, &self.output, &scene, &layers)?;
         Ok(Done {
             path: self.map.clone(),
             read_seconds: 0.0,

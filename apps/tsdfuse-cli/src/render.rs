@@ -18,7 +18,7 @@ use tsdfuse::fuse::pictures::Picture;
 use tsdfuse::render::{Camera, ImageKind, RenderConfig};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse_run::report::{MapReport, ViewReport};
-use tsdfuse_run::{Device, RunError, check_outputs, view};
+use tsdfuse_run::{Device, Layers, RunError, check_outputs, view};
 
 use crate::exit::{self, Outcome, Usage};
 use crate::output::print_json;
@@ -31,7 +31,7 @@ const MORE_HELP: &str = "\
 Camera frame: x forward, y left, z up. Positive YAW turns left, PITCH up, ROLL lowers the right side; degrees. A pose file holds \
 camera-to-world poses: KITTI or TUM lines, or one matrix of 3 or 4 lines.
 
-Pictures: shaded; normal (red, green, blue = x, y, z); depth (16 bits, millimetres, 0 = no surface, at most 65.535 m); weight \
+Pictures: shaded; height; intensity and color, as they were saved beside the map (fuse --intensity --color --save-map); normal (red, green, blue = x, y, z); depth (16 bits, millimetres, 0 = no surface, at most 65.535 m); weight \
 (dark = 0.01, bright = 100, logarithmic). Several views are numbered, several pictures named: view-03-depth.png.
 
 Surface is visible only from the side it was measured from.
@@ -39,10 +39,14 @@ Surface is visible only from the side it was measured from.
 Examples:
   tsdfuse render street.tsdf -o view.png
   tsdfuse render street.tsdf -o view.png --from 0,0,2 --to 20,5,1 --image shaded,depth
+  tsdfuse render street.tsdf -o height.png --image height
   tsdfuse render street.tsdf -o turn.png --views 36
   tsdfuse render street.tsdf -o flight.mp4 --along-path
   tsdfuse render street.tsdf -o scan.png --pose 0,0,1.8 --sensor pandar64
   tsdfuse render pandaset/002 -o scan.png --scan 5 --image normals,surfels,filled";
+
+/// Pictures of a map beside those of [`ImageKind`].
+const LAYERS: [&str; 3] = ["height", "intensity", "color"];
 
 /// Render pictures of a saved map.
 #[derive(Debug, clap::Args)]
@@ -61,7 +65,7 @@ pub(crate) struct Args {
     look: LookArgs,
     /// What to render; separate several with commas.
     #[arg(long, value_name = "KIND", value_delimiter = ',',
-        value_parser = PossibleValuesParser::new(ImageKind::ALL.map(ImageKind::name).into_iter().chain(Picture::ALL.map(Picture::name))))]
+        value_parser = PossibleValuesParser::new(ImageKind::ALL.map(ImageKind::name).into_iter().chain(LAYERS).chain(Picture::ALL.map(Picture::name))))]
     image: Vec<String>,
     /// Render as this LiDAR sees: a row per beam, a column per firing, clockwise from straight ahead.
     #[arg(long, value_name = "NAME", requires = "place", conflicts_with_all = ["size", "fov"],
@@ -111,7 +115,9 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     } else {
         tsdfuse_io::png::check(&args.output).map_err(Usage::new)?;
     }
-    let kinds = args.kinds()?;
+    args.check_kinds()?;
+    let layers = args.layers()?;
+    let pictures = args.pictures_of_map(&layers);
     let pinhole = args.look.camera()?;
     let sensor = args.sensor.as_deref().and_then(tsdfuse::sensor::model);
     let place = Look::of(&args.look)?;
@@ -142,11 +148,11 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
             views.push(movie.add(&mut look, &camera, *pose)?);
             continue;
         }
-        let files: Vec<_> = kinds
+        let files: Vec<_> = pictures
             .iter()
-            .map(|&kind| {
-                let path = name::of(&args.output, (number, poses.len()), (kind.name(), kinds.len()));
-                (kind, path)
+            .map(|&(name, picture)| {
+                let path = name::of(&args.output, (number, poses.len()), (name, pictures.len()));
+                (picture, path)
             })
             .collect();
         views.push(view::write(&mut look, &camera, *pose, &files)?);
@@ -183,17 +189,50 @@ impl Args {
         Ok(())
     }
 
+    fn check_kinds(&self) -> Result<(), Usage> {
+        let names: Vec<&str> = ImageKind::ALL.map(ImageKind::name).into_iter().chain(LAYERS).collect();
+        self.none_else(&names, "is a picture of a scan: say which with --scan")
+    }
+
+    fn is_asked(&self, name: &str) -> bool {
+        match self.image.is_empty() {
+            true => name == ImageKind::default().name(),
+            false => self.image.iter().any(|asked| asked == name),
+        }
+    }
+
+    /// The layers beside the map that pictures need.
+    fn layers(&self) -> Result<Layers> {
+        let [_, intensity, color] = LAYERS.map(|name| self.is_asked(name));
+        if !intensity && !color {
+            return Ok(Layers::default());
+        }
+        let layers = Layers::read_beside(&self.map)?;
+        let missing = [
+            (intensity && layers.intensity.is_none(), "intensity"),
+            (color && layers.colors.is_none(), "color"),
+        ];
+        if let Some((_, name)) = missing.into_iter().find(|(is_missing, _)| *is_missing) {
+            return Err(Usage::new(format_args!(
+                "--image {name}: none is saved beside {}; tsdfuse fuse --{name} --save-map saves it",
+                self.map.display()
+            ))
+            .into());
+        }
+        Ok(layers)
+    }
+
     /// The pictures of a map to make of each view; none twice.
-    fn kinds(&self) -> Result<Vec<ImageKind>, Usage> {
-        let asked = |kind: &ImageKind| match self.image.is_empty() {
-            true => *kind == ImageKind::default(),
-            false => self.image.iter().any(|name| name == kind.name()),
-        };
-        self.none_else(
-            ImageKind::ALL.map(ImageKind::name).as_slice(),
-            "is a picture of a scan: say which with --scan",
-        )?;
-        Ok(ImageKind::ALL.into_iter().filter(asked).collect())
+    fn pictures_of_map<'a>(&self, layers: &'a Layers) -> Vec<(&'static str, view::Picture<'a>)> {
+        let plain = ImageKind::ALL.map(|kind| (kind.name(), Some(view::Picture::Plain(kind))));
+        let [height, intensity, color] = LAYERS;
+        let others = [
+            (height, Some(view::Picture::Height)),
+            (intensity, layers.intensity.as_ref().map(view::Picture::Intensity)),
+            (color, layers.colors.as_ref().map(view::Picture::Color)),
+        ];
+        let all = plain.into_iter().chain(others).filter(|(name, _)| self.is_asked(name));
+        all.filter_map(|(name, picture)| Some((name, picture?))).collect()
     }
 
     /// The pictures of a scan to make; none twice.

@@ -8,9 +8,9 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use tsdfuse::mesh::{MeshConfig, extract_with};
 use tsdfuse_run::report::MapReport;
-use tsdfuse_run::{Stop, scene};
+use tsdfuse_run::{Layers, Stop, scene};
 use tsdfuse_view::live::Live;
-use tsdfuse_view::{Scene, Surface, add_normals};
+use tsdfuse_view::{Scene, add_normals};
 
 use crate::exit::{self, Outcome, Usage};
 use crate::progress::{self, say};
@@ -61,7 +61,8 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let (scene, mesh) = args.surface(&config)?;
     drop(spinner);
     let live = open(args.address, &args.path)?;
-    live.show(&scene, &Surface::of(&mesh));
+    let painting = Layers::read_beside(&args.path)?.painting(&mesh);
+    painting.with(&mesh, |surface| live.show(&scene, surface));
     stay(&live, &stop);
     Ok(Outcome::Complete)
 }

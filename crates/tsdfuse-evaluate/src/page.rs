@@ -1,4 +1,4 @@
-//! The report: one HTML file with everything in it.
+//! The report: one HTML file with everything in it but the meshes in 3D, which are pages beside it.
 
 use std::fmt::Write;
 
@@ -23,6 +23,7 @@ tr th:first-child { text-align: left; position: sticky; left: 0; background: Can
 .plots, .shots { display: grid; gap: 1rem; grid-template-columns: repeat(auto-fill, minmax(min(100%, 30rem), 1fr)); }
 .shots { gap: .5rem; grid-template-columns: repeat(auto-fill, minmax(min(100%, 17rem), 1fr)); }
 figure { margin: 0; } svg, img { width: 100%; height: auto; display: block; } img { border-radius: 4px; background: #fff; }
+iframe { width: 100%; height: 70vh; border: 1px solid var(--line); border-radius: 4px; } .links a { margin-right: 1rem; }
 figcaption { font-size: .85rem; } .legend { display: flex; flex-wrap: wrap; gap: .2rem 1rem; font-size: .85rem; }
 .legend i { display: inline-block; width: 1.6rem; margin-right: .35rem; vertical-align: middle; border-top: 3px solid; }
 .scale { display: flex; align-items: center; gap: .5rem; font-size: .85rem; margin: .5rem 0; }
@@ -47,6 +48,7 @@ pub fn of(results: &Results, tables: &[Table], plots: &[Plot], gallery: &Gallery
         page += &format!("<figure><figcaption>{title}</figcaption>\n{svg}</figure>\n");
     }
     page += "</div>\n";
+    page += &in_3d(gallery);
     page += &pictures(gallery);
     page += "<h2>How to repeat it</h2>\n";
     for row in &results.methods {
@@ -93,6 +95,22 @@ fn legend(results: &Results) -> String {
         );
     }
     html + "</div>\n"
+}
+
+/// The meshes in the colours of their errors, one at a time: pages that lie beside the report.
+fn in_3d(gallery: &Gallery) -> String {
+    let Some((_, first)) = gallery.pages.first() else {
+        return String::new();
+    };
+    let link = |(name, file): &(String, String)| {
+        format!("<a href=\"{}\" target=\"in-3d\">{}</a>\n", escape(file), escape(name))
+    };
+    let links: String = gallery.pages.iter().map(link).collect();
+    format!(
+        "<h2>In 3D</h2>\n<p>Colours are distances to the reference; the pointer tells them. Drag to turn, right-drag to move, wheel to come \
+         nearer.</p>\n<p class=\"links\">{links}</p>\n<iframe name=\"in-3d\" loading=\"lazy\" title=\"A mesh in 3D\" src=\"{}\"></iframe>\n",
+        escape(first)
+    )
 }
 
 fn pictures(gallery: &Gallery) -> String {

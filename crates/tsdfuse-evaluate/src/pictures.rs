@@ -39,6 +39,8 @@ pub struct Gallery {
     pub shots: Vec<Shot>,
     /// The error at the bright end of the colours, metres.
     pub max_error_m: f64,
+    /// Methods, and the pages beside the report that show their meshes in 3D.
+    pub pages: Vec<(String, String)>,
     images: Vec<Image>,
     names: Vec<String>,
 }

@@ -12,6 +12,7 @@ use tsdfuse_io::geometry::{self, Geometry};
 use tsdfuse_io::{Log, Selection};
 use tsdfuse_run::{Job, Machine, Outputs, Report, RunConfig};
 
+use crate::colored;
 use crate::command;
 use crate::error::{Error, Result};
 use crate::evaluation::{Evaluated, Evaluation, Runner};
@@ -269,9 +270,9 @@ impl<'a> Workplace<'a> {
 
     /// Draws a mesh, if pictures go anywhere; the first one decides where from.
     fn draw(&self, pictures: &mut Option<(Views, Gallery)>, name: &str, mesh: &Mesh) -> Result<()> {
-        if self.folder.output().is_none() {
+        let Some(folder) = self.folder.output() else {
             return Ok(());
-        }
+        };
         let (views, gallery) = match pictures {
             Some(pictures) => pictures,
             none => {
@@ -283,6 +284,16 @@ impl<'a> Workplace<'a> {
                 none.insert((views, gallery))
             }
         };
+        let safe = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
+        let file = format!("3d-{}.html", name.chars().map(safe).collect::<String>());
+        colored::write(
+            &folder.join(&file),
+            name,
+            mesh,
+            &self.truth.reference,
+            gallery.max_error_m,
+        )?;
+        gallery.pages.push((name.to_owned(), file));
         gallery.add_mesh(views, name, mesh, &self.truth.reference)
     }
 }
@@ -313,6 +324,7 @@ fn write(folder: &Path, results: &Results, gallery: &Gallery) -> Result<Vec<Path
         tsdfuse_io::atomic::write(&path, |file| file.write_all(text.as_bytes()))?;
         written.push(path);
     }
+    written.extend(gallery.pages.iter().map(|(_, file)| folder.join(file)));
     let path = folder.join("methods.png");
     tsdfuse_io::png::write(&path, &gallery.contact_sheet().0)?;
     written.push(path);

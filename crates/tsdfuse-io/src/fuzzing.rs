@@ -261,6 +261,14 @@ pub fn depth_image(bytes: &[u8]) {
     }
 }
 
+/// A camera's image.
+pub fn photo(bytes: &[u8]) {
+    if let Ok(photo) = crate::photo::decode(PATH, bytes) {
+        assert_eq!(photo.pixels.len(), photo.width * photo.height);
+        let _ = photo.at(0.5, 0.5);
+    }
+}
+
 /// The text files beside depth images.
 pub fn rgbd(bytes: &[u8]) {
     let size = ImageSize {

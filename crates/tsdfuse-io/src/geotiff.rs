@@ -3,8 +3,9 @@
 use std::io::{self, Cursor};
 use std::path::Path;
 
-use tiff::encoder::{Compression, DeflateLevel, TiffEncoder, colortype::Gray32Float};
-use tiff::tags::Tag;
+use tiff::encoder::colortype::{ColorType, Gray32Float};
+use tiff::encoder::{Compression, DeflateLevel, TiffEncoder};
+use tiff::tags::{PhotometricInterpretation, SampleFormat, Tag};
 use tsdfuse::raster::Raster;
 
 use crate::error::{Error, Result};
@@ -32,18 +33,81 @@ pub fn is_geotiff(path: &Path) -> bool {
 /// # Errors
 /// Names the file and what the system says; also for a raster of more than 4 GiB.
 pub fn write(path: impl AsRef<Path>, raster: &Raster, epsg: Option<u16>) -> Result<()> {
+    put::<Gray32Float>(path.as_ref(), raster, &raster.values, epsg, &[])
+}
+
+/// Writes several rasters of the same cells as the bands of one file, with their names. Otherwise as [`write()`].
+///
+/// # Errors
+/// As [`write()`]; `InvalidInput` if the rasters have other cells.
+pub fn write_layers<const N: usize>(
+    path: impl AsRef<Path>,
+    layers: &[(&str, &Raster); N],
+    epsg: Option<u16>,
+) -> Result<()> {
     let path = path.as_ref();
-    let bytes = encode(raster, epsg).map_err(Error::io(path))?;
+    let shape = |raster: &Raster| (raster.low, raster.cell_m, raster.width, raster.height);
+    let Some((_, first)) = layers.first() else {
+        return Err(Error::dataset(path, "a file without layers"));
+    };
+    if layers.iter().any(|(_, other)| shape(other) != shape(first)) {
+        return Err(Error::dataset(path, "layers of a file have the same cells"));
+    }
+    let values: Vec<f32> = (0..first.values.len())
+        .flat_map(|at| layers.iter().map(move |(_, layer)| layer.values[at]))
+        .collect();
+    put::<Bands<N>>(path, first, &values, epsg, &layers.map(|(name, _)| name))
+}
+
+/// N numbers in each cell.
+struct Bands<const N: usize>;
+
+impl<const N: usize> ColorType for Bands<N> {
+    type Inner = f32;
+    const TIFF_VALUE: PhotometricInterpretation = PhotometricInterpretation::BlackIsZero;
+    const BITS_PER_SAMPLE: &'static [u16] = &[32; N];
+    const SAMPLE_FORMAT: &'static [SampleFormat] = &[SampleFormat::IEEEFP; N];
+
+    fn horizontal_predict(row: &[f32], result: &mut Vec<f32>) {
+        result.extend_from_slice(row); // no predictor is asked for
+    }
+}
+
+/// The names of bands, as GDAL writes them.
+fn metadata(names: &[&str]) -> String {
+    let item = |(i, name): (usize, &&str)| {
+        format!("<Item name=\"DESCRIPTION\" sample=\"{i}\" role=\"description\">{name}</Item>")
+    };
+    let items: String = names.iter().enumerate().map(item).collect();
+    format!("<GDALMetadata>{items}</GDALMetadata>")
+}
+
+/// GDAL's names of bands.
+const GDAL_METADATA: u16 = 42_112;
+
+fn put<C: ColorType<Inner = f32>>(
+    path: &Path,
+    raster: &Raster,
+    values: &[f32],
+    epsg: Option<u16>,
+    names: &[&str],
+) -> Result<()> {
+    let bytes = encode::<C>(raster, values, epsg, names).map_err(Error::io(path))?;
     crate::atomic::write(path, |out| io::Write::write_all(out, &bytes))
 }
 
-fn encode(raster: &Raster, epsg: Option<u16>) -> io::Result<Vec<u8>> {
+fn encode<C: ColorType<Inner = f32>>(
+    raster: &Raster,
+    values: &[f32],
+    epsg: Option<u16>,
+    names: &[&str],
+) -> io::Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
     let edge = |n: usize| u32::try_from(n).map_err(|e| io::Error::new(io::ErrorKind::InvalidInput, e));
     let (width, height) = (edge(raster.width)?, edge(raster.height)?);
     let mut encode = || -> tiff::TiffResult<()> {
         let mut encoder = TiffEncoder::new(&mut bytes)?.with_compression(Compression::Deflate(DeflateLevel::Balanced));
-        let mut image = encoder.new_image::<Gray32Float>(width, height)?;
+        let mut image = encoder.new_image::<C>(width, height)?;
         let (cell, top) = (raster.cell_m, raster.low.y + raster.cell_m * raster.height as f64);
         let tags = image.encoder();
         tags.write_tag(Tag::ModelPixelScaleTag, &[cell, cell, 0.0][..])?;
@@ -82,7 +146,12 @@ fn encode(raster: &Raster, epsg: Option<u16>) -> io::Result<Vec<u8>> {
         };
         tags.write_tag(Tag::GeoKeyDirectoryTag, &keys[..])?;
         tags.write_tag(Tag::GdalNodata, NO_DATA)?;
-        image.write_data(&raster.values)
+        if names.len() > 1 {
+            // What the others are is said by their names alone.
+            tags.write_tag(Tag::ExtraSamples, &vec![0_u16; names.len() - 1][..])?;
+            tags.write_tag(Tag::Unknown(GDAL_METADATA), &*metadata(names))?;
+        }
+        image.write_data(values)
     };
     encode().map_err(io::Error::other)?;
     Ok(bytes.into_inner())
@@ -93,6 +162,34 @@ mod tests {
     use super::*;
     use tiff::decoder::{Decoder, DecodingResult};
     use tsdfuse::glam::DVec2;
+
+    #[test]
+    fn layers_are_bands_with_names() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.tif");
+        let layer = |first: f32| Raster {
+            low: DVec2::ZERO,
+            cell_m: 0.5,
+            width: 2,
+            height: 1,
+            values: vec![first, first + 1.0],
+        };
+        let (a, b, c) = (layer(0.0), layer(10.0), layer(20.0));
+        write_layers(&path, &[("elevation", &a), ("slope", &b), ("step", &c)], None).unwrap();
+        let mut decoder = Decoder::new(std::fs::File::open(&path).unwrap()).unwrap();
+        let DecodingResult::F32(values) = decoder.read_image().unwrap() else {
+            panic!("not f32")
+        };
+        assert_eq!(values, [0.0, 10.0, 20.0, 1.0, 11.0, 21.0]);
+        let told = decoder.get_tag_ascii_string(Tag::Unknown(GDAL_METADATA)).unwrap();
+        assert!(told.contains("sample=\"1\" role=\"description\">slope<"), "{told}");
+        let other = Raster {
+            width: 1,
+            height: 2,
+            ..layer(0.0)
+        };
+        assert!(write_layers(&path, &[("a", &a), ("b", &other)], None).is_err());
+    }
 
     #[test]
     fn rasters_are_read_back_with_their_place() {

@@ -43,8 +43,10 @@ fn jpeg(bytes: &[u8]) -> Result<Photo, String> {
         .set_max_height(MOST_EDGE)
         .jpeg_set_out_colorspace(ColorSpace::RGB);
     let mut decoder = JpegDecoder::new_with_options(Cursor::new(bytes), options);
-    let pixels = decoder.decode().map_err(|error| error.to_string())?;
+    decoder.decode_headers().map_err(|error| error.to_string())?;
     let (width, height) = decoder.dimensions().ok_or("has no size")?;
+    plausible(width, height, bytes.len(), JPEG_PIXELS)?;
+    let pixels = decoder.decode().map_err(|error| error.to_string())?;
     whole(width, height, pixels.as_chunks().0.to_vec())
 }
 
@@ -53,6 +55,8 @@ fn png(bytes: &[u8]) -> Result<Photo, String> {
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), png::Limits { bytes: 1 << 30 });
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().map_err(told)?;
+    let size = reader.info();
+    plausible(size.width as usize, size.height as usize, bytes.len(), PNG_PIXELS)?;
     let mut samples = vec![0; reader.output_buffer_size().ok_or("is too large")?];
     let info = reader.next_frame(&mut samples).map_err(told)?;
     samples.truncate(info.buffer_size());
@@ -64,6 +68,21 @@ fn png(bytes: &[u8]) -> Result<Photo, String> {
         n => samples.chunks_exact(n).map(|pixel| [pixel[0]; 3]).collect(),
     };
     whole(info.width as usize, info.height as usize, pixels)
+}
+
+/// Pixels that a byte can hold: in JPEG, a block of 64 takes a bit at least, in PNG, deflate makes at most 1,032 bytes of one, and a
+/// pixel may take a bit.
+const JPEG_PIXELS: usize = 64 * 8;
+/// See [`JPEG_PIXELS`].
+const PNG_PIXELS: usize = 1032 * 8;
+
+/// Refuses what a header claims and no file of so many bytes can hold, before there is memory for it.
+fn plausible(width: usize, height: usize, bytes: usize, pixels_per_byte: usize) -> Result<(), String> {
+    let is_possible = (1..=MOST_EDGE).contains(&width) && (1..=MOST_EDGE).contains(&height);
+    if !is_possible || width * height > pixels_per_byte * bytes {
+        return Err(format!("{bytes} bytes are no image of {width} x {height}"));
+    }
+    Ok(())
 }
 
 fn whole(width: usize, height: usize, pixels: Vec<[u8; 3]>) -> Result<Photo, String> {
@@ -125,6 +144,66 @@ mod tests {
             decode("a", &crate::png::encode(&grey).unwrap()).unwrap().pixels,
             [[7; 3], [9; 3]]
         );
+    }
+
+    /// A JPEG of 16 x 16 grey pixels, made by hand: one block of each quantisation, all coefficients 0.
+    fn jpeg() -> Vec<u8> {
+        let mut bytes = vec![0xff, 0xd8, 0xff, 0xdb, 0, 67, 0];
+        bytes.extend([1; 64]);
+        bytes.extend([0xff, 0xc0, 0, 11, 8, 0, 16, 0, 16, 1, 1, 0x11, 0]);
+        // One code of one bit for each table: no difference, and the end of a block.
+        for table in [0x00, 0x10] {
+            bytes.extend([0xff, 0xc4, 0, 20, table, 1]);
+            bytes.extend([0; 15]);
+            bytes.push(0);
+        }
+        bytes.extend([0xff, 0xda, 0, 8, 1, 1, 0, 0, 63, 0, 0x00, 0xff, 0xd9]);
+        bytes
+    }
+
+    #[test]
+    fn damaged_images_are_refused_or_decoded_but_never_more() {
+        let image = Image {
+            width: 9,
+            height: 7,
+            pixels: Pixels::Rgb((0..63).map(|i| [i, 255 - i, 3 * i]).collect()),
+        };
+        let png = crate::png::encode(&image).unwrap();
+        assert_eq!(decode("a", &jpeg()).unwrap().pixels, [[128; 3]; 256]);
+        for bytes in [jpeg(), png] {
+            for len in 0..bytes.len() {
+                let _ = decode("a", &bytes[..len]);
+            }
+            for at in 0..bytes.len() {
+                for flip in [1, 0x80, 0xff] {
+                    let mut damaged = bytes.clone();
+                    damaged[at] ^= flip;
+                    if let Ok(photo) = decode("a", &damaged) {
+                        assert!(photo.pixels.len() == photo.width * photo.height && !photo.pixels.is_empty());
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_size_that_no_such_file_has_takes_no_memory() {
+        let mut large = jpeg();
+        let at = large.windows(2).position(|pair| pair == [0xff, 0xc0]).unwrap() + 5;
+        large[at..at + 4].copy_from_slice(&[0x3f, 0xff, 0x3f, 0xff]);
+        let told = decode("a.jpg", &large).unwrap_err().to_string();
+        assert!(told.contains("bytes are no image of 16383 x 16383"), "{told}");
+        let image = Image {
+            width: 4,
+            height: 4,
+            pixels: Pixels::Rgb(vec![[7; 3]; 16]),
+        };
+        let mut large = crate::png::encode(&image).unwrap();
+        large[16..24].copy_from_slice(&[0, 0, 0x3f, 0xff, 0, 0, 0x3f, 0xff]);
+        let crc = crc32fast::hash(&large[12..29]);
+        large[29..33].copy_from_slice(&crc.to_be_bytes());
+        let told = decode("a.png", &large).unwrap_err().to_string();
+        assert!(told.contains("bytes are no image of 16383 x 16383"), "{told}");
     }
 
     #[test]

@@ -26,7 +26,6 @@ use chunks::Chunks;
 pub use chunks::{CHUNK, Chunk};
 use lattice::Lattice;
 use sites::Sampler;
-use transform::Transform;
 
 /// Options of an [`Esdf`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -98,13 +97,8 @@ impl Esdf {
         let sample = |sampler: &mut Sampler, piece: &Piece<'a>| (piece.block, sampler.sites(&lattice, piece));
         let sampled: Vec<_> = pieces.par_iter().map_init(Sampler::default, sample).collect();
         let changed = self.chunks.put(&lattice, sampled);
-        let chunks = &self.chunks;
-        let transform = |transform: &mut Transform, chunk: &IVec3| transform.run(&lattice, *chunk, chunks);
-        let distances: Vec<_> = changed
-            .par_iter()
-            .map_init(|| Transform::new(&lattice), transform)
-            .collect();
-        self.chunks.set(changed.iter().copied().zip(distances));
+        let distances = transform::run(&lattice, &self.chunks, &changed);
+        self.chunks.set(distances);
         changed
     }
 

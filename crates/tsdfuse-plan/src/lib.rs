@@ -3,6 +3,7 @@
 //! - [`Esdf`]: the Euclidean distance to the nearest surface, for all voxels up to some distance from it. It follows a map
 //!   that changes.
 //! - [`Occupancy`]: what rays have passed through and where they ended, hence what is free, occupied or unknown.
+//! - [`GroundGrid`]: how high, steep and rough the ground is, and whether it can be driven on.
 //! - [`Moving`]: which returns of a scan are of things that move.
 //!
 //! ```
@@ -29,6 +30,7 @@
 
 mod error;
 pub mod esdf;
+pub mod ground;
 mod marks;
 mod moving;
 pub mod occupancy;
@@ -40,5 +42,6 @@ struct Readme;
 
 pub use error::PlanError;
 pub use esdf::{Esdf, EsdfConfig, Nearest};
+pub use ground::{GroundConfig, GroundGrid};
 pub use moving::{Moving, MovingConfig};
 pub use occupancy::{Occupancy, OccupancyConfig};

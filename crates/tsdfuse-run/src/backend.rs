@@ -11,6 +11,7 @@ use tsdfuse_view::Scene;
 
 use crate::config::RunConfig;
 use crate::error::{Result, RunError};
+use crate::layers::Layers;
 use crate::report::{MapReport, MeshReport, PagingReport, SavedMap};
 use crate::view::See;
 
@@ -95,8 +96,9 @@ pub(crate) trait Backend: Send {
     /// The whole surface, once all scans are in the map.
     fn mesh(&mut self, config: &MeshConfig) -> Result<Mesh>;
 
-    /// Extracts the surface, which must not be empty, and writes it; `scene` is what a page shows beside it.
-    fn write_surface(&mut self, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport>;
+    /// Extracts the surface, which must not be empty, and writes it with what layers tell of it; `scene` is what a page shows beside it.
+    fn write_surface(&mut self, config: &MeshConfig, path: &Path, scene: &Scene, layers: &Layers)
+    -> Result<MeshReport>;
 
     /// Writes the map and the poses of its scans.
     fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap>;
@@ -121,6 +123,11 @@ pub(crate) trait Backend: Send {
     /// Memory of all blocks, if that is over the limit and the caller was not told yet.
     fn over_limit(&mut self) -> Option<usize> {
         None
+    }
+
+    /// What of the map is in memory: at least what the last scan has touched.
+    fn map_around(&self) -> Option<&VoxelMap> {
+        self.map()
     }
 
     /// The map, if it is whole and in memory.

@@ -43,10 +43,21 @@ pub struct RunConfig {
     pub patch: PatchConfig,
     /// What becomes surface.
     pub mesh: MeshConfig,
+    /// What becomes of returns of things that move.
+    pub moving: MovingSettings,
     /// Options of the odometry, where it finds the poses.
     pub odometry: OdometryConfig,
     /// Options of loop closure.
     pub loops: LoopConfig,
+}
+
+/// What becomes of returns of things that move.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MovingSettings {
+    /// Whether they are left out ([`tsdfuse_plan::Moving`]); else they are fused as all others, and methods that erase take them away
+    /// later.
+    pub leave_out: bool,
 }
 
 impl RunConfig {

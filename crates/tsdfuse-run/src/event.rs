@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use tsdfuse::Scan;
+use tsdfuse::glam::DVec3;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::mesh::Changes;
 
@@ -68,6 +69,8 @@ pub enum Event<'a> {
         /// Memory of all blocks, bytes.
         bytes: usize,
     },
+    /// Loops were closed: where the sensor was when it came by first, and when it came back (world).
+    LoopsClosed(&'a [[DVec3; 2]]),
     /// A longer step begins, such as `extracting the surface`.
     Working(&'a str),
     /// A sentence about something unusual.

@@ -14,6 +14,7 @@ use tsdfuse_view::Scene;
 use crate::backend::{Backend, Failed, Settled, follow};
 use crate::config::RunConfig;
 use crate::error::{Result, RunError};
+use crate::layers::Layers;
 use crate::report::{MapReport, MeshReport, SavedMap};
 use crate::surface;
 use crate::view::{self, Look, See};
@@ -149,12 +150,18 @@ impl Backend for OnGpu {
         Ok(mesher.extract(map, config)?)
     }
 
-    fn write_surface(&mut self, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport> {
+    fn write_surface(
+        &mut self,
+        config: &MeshConfig,
+        path: &Path,
+        scene: &Scene,
+        layers: &Layers,
+    ) -> Result<MeshReport> {
         if surface::is_tileset(path) {
             return surface::write(&self.fuser.map().download()?, config, path, scene);
         }
         let blocks = self.fuser.map().block_count()? as usize;
-        surface::write_mesh(|| self.mesh(config), blocks, config, path, scene)
+        surface::write_mesh(|| self.mesh(config), blocks, config, path, scene, layers)
     }
 
     fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap> {

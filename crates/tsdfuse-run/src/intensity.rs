@@ -1,41 +1,121 @@
 //! How strongly a surface reflects: intensities of returns, averaged in a layer of voxels beside the map.
 //!
-//! The layer is a [`VoxelMap`] of its own on the same grid. Where voxels of a map hold a distance over the truncation, f ∈ [−1, 1], its
-//! voxels hold an intensity I, measured against a scale I₀:
+//! Where voxels of a map hold a distance over the truncation, f ∈ [−1, 1], those of the layer hold an intensity I, measured against a
+//! scale I₀:
 //!
 //! ```text
 //!   f = 2·I / (I + I₀) − 1,     I = I₀·(1 + f) / (1 − f)
 //! ```
 //!
-//! f grows ever more slowly, so a mean of it is hardly moved by a few glints. All else is as for any map: sums of integers that do not
-//! depend on order, files, merging, cropping. The map itself, and its bits, stay as they are.
+//! f grows ever more slowly, so a mean of it is hardly moved by a few glints.
+//!
+//! Returns are corrected for the angle at which they hit (Lambert), and for the range: sensors differ in how much of that they do
+//! themselves, so it is learnt from surface that is seen again from elsewhere ([`RangeResponse`]).
 
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tsdfuse::glam::{DVec3, IVec3};
-use tsdfuse::map::VoxelUpdate;
-use tsdfuse::{MapConfig, Mesh, Scan, VoxelMap};
+use tsdfuse::glam::DVec3;
+use tsdfuse::{MapConfig, Scan, VoxelMap};
 use tsdfuse_view::{Channel, Ramp};
 
 use crate::error::{Result, RunError};
+use crate::layer::{Layer, path_beside};
 
 /// I₀: between the intensities of asphalt and of paint, where sensors count to 255.
 const SCALE: f32 = 50.0;
 
-/// Truncation of the layer, in voxels: it only scales f, but must be one that a map may have.
-const TRUNCATION_VOXELS: f64 = 16.0;
-
 /// Less than this is taken for the cosine of the incidence: where it is smaller, it is not known well.
 const LEAST_COS: f32 = 0.25;
 
-/// Vertices of which nothing is known take the mean of their neighbours, so many times.
-const FILL_ROUNDS: usize = 12;
+/// Of so many vertices or voxels, the brightest ones are not shown brighter than [`BRIGHT`] of all.
+const SAMPLES: usize = 100_000;
+/// See [`SAMPLES`].
+const BRIGHT: f32 = 0.97;
+
+/// The intensity that f stands for.
+pub(crate) fn decode(f: f32) -> f32 {
+    let f = f.min(0.999);
+    SCALE * (1.0 + f) / (1.0 - f)
+}
+
+fn encode(intensity: f32) -> f32 {
+    2.0 * intensity / (intensity + SCALE) - 1.0
+}
+
+/// How much stronger a sensor reports the same surface at some ranges than at others.
+///
+/// Each return of surface that was seen before tells by how much its intensity differs from the mean so far. For each range, the mean of
+/// these (of their logarithms, glints cut off) is taken back from later returns; over all ranges they are 1 in the mean.
+#[derive(Clone, Debug)]
+pub struct RangeResponse {
+    /// Logarithms of the factors, of ranges from 2^(i/[`PER_OCTAVE`]) m on.
+    logs: [f32; BINS],
+    /// Returns that told them.
+    seen: [f64; BINS],
+}
+
+/// Ranges from 1 m to 256 m, so many to twice the range.
+const PER_OCTAVE: f32 = 4.0;
+const BINS: usize = 33;
+
+/// Returns after which a factor is as good as it gets, and at which it is half believed.
+const ENOUGH: f64 = 20_000.0;
+
+/// Factors from this to its inverse are possible.
+const MOST_LOG: f32 = 1.6;
+
+impl Default for RangeResponse {
+    fn default() -> Self {
+        Self {
+            logs: [0.0; BINS],
+            seen: [0.0; BINS],
+        }
+    }
+}
+
+impl RangeResponse {
+    fn bin(range_m: f32) -> usize {
+        // A conversion saturates.
+        ((PER_OCTAVE * range_m.log2()) as usize).min(BINS - 1)
+    }
+
+    /// By how much stronger than on average a surface is reported at a range.
+    pub fn at(&self, range_m: f32) -> f32 {
+        self.logs[Self::bin(range_m)].exp()
+    }
+
+    /// Learns from returns: their ranges, and the logarithms of how much stronger they are, after correction, than the surface so far.
+    fn learn(&mut self, returns: impl IntoIterator<Item = (f32, f32)>) {
+        let mut sums = [(0.0_f64, 0.0_f64); BINS];
+        for (range_m, off) in returns {
+            let (sum, count) = &mut sums[Self::bin(range_m)];
+            (*sum, *count) = (*sum + f64::from(off.clamp(-1.0, 1.0)), *count + 1.0);
+        }
+        for (i, (sum, count)) in sums.into_iter().enumerate().filter(|(_, (_, count))| *count > 0.0) {
+            self.seen[i] += count;
+            let share = (count / self.seen[i].clamp(1.0, ENOUGH)).min(0.5);
+            self.logs[i] = (self.logs[i] + (share * sum / count) as f32).clamp(-MOST_LOG, MOST_LOG);
+        }
+        // What is the same at all ranges is the surface's own.
+        let weight: f64 = self.seen.iter().sum();
+        let mean = self
+            .logs
+            .iter()
+            .zip(&self.seen)
+            .map(|(log, seen)| f64::from(*log) * seen)
+            .sum::<f64>()
+            / weight.max(1.0);
+        let known = self.logs.iter_mut().zip(&self.seen).filter(|(_, seen)| **seen > 0.0);
+        known.for_each(|(log, _)| *log -= mean as f32);
+    }
+}
 
 /// Intensities of the surface of a map.
 #[derive(Debug)]
 pub struct Intensity {
-    layer: VoxelMap,
+    layer: Layer,
+    response: RangeResponse,
 }
 
 impl Intensity {
@@ -44,39 +124,26 @@ impl Intensity {
     /// # Errors
     /// As [`VoxelMap::new`].
     pub fn beside(map: &MapConfig) -> Result<Self> {
-        let config = MapConfig {
-            truncation_m: TRUNCATION_VOXELS * map.voxel_size_m,
-            ..*map
-        };
         Ok(Self {
-            layer: VoxelMap::new(config)?,
+            layer: Layer::beside(map)?,
+            response: RangeResponse::default(),
         })
     }
 
     /// The file of the layer beside that of a map: `street.tsdf` has `street.intensity.tsdf`.
     pub fn path_beside(map: &Path) -> PathBuf {
-        let name = map.file_stem().unwrap_or_default().to_string_lossy();
-        map.with_file_name(format!("{name}.intensity.tsdf"))
+        path_beside(map, "intensity")
     }
 
     /// Reads a layer.
     ///
     /// # Errors
-    /// As [`tsdfuse_io::map_file::read`]; [`RunError::Config`] for a map that is no such layer.
+    /// As [`tsdfuse_io::map_file::read`]; [`RunError::Config`](crate::RunError::Config) for a map that is no such layer.
     pub fn read(path: &Path) -> Result<Self> {
-        let layer = tsdfuse_io::map_file::read(path)?;
-        let MapConfig {
-            truncation_m,
-            voxel_size_m,
-            ..
-        } = layer.config();
-        if (truncation_m / voxel_size_m - TRUNCATION_VOXELS).abs() > 1e-6 {
-            return Err(RunError::config(format_args!(
-                "{}: is a map, not a layer of intensities",
-                path.display()
-            )));
-        }
-        Ok(Self { layer })
+        Ok(Self {
+            layer: Layer::read(path)?,
+            response: RangeResponse::default(),
+        })
     }
 
     /// Saves the layer as a map file.
@@ -84,7 +151,38 @@ impl Intensity {
     /// # Errors
     /// If the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
-        Ok(tsdfuse_io::map_file::write(path, &self.layer)?)
+        self.layer.save(path)
+    }
+
+    /// Saves the layer beside a store that is about to be committed with so many scans. Until [`Self::committed`], that of the
+    /// commit before stays: whichever of both a crash leaves valid, it is there.
+    pub(crate) fn save_before_commit(&mut self, store: &Path, done: usize) -> Result<()> {
+        self.layer.set_scans(done);
+        self.layer.save(&path_beside(store, "intensity-next"))
+    }
+
+    /// The store was committed.
+    pub(crate) fn committed(store: &Path) -> Result<()> {
+        let next = path_beside(store, "intensity-next");
+        Ok(std::fs::rename(&next, Self::path_beside(store)).map_err(tsdfuse_io::Error::io(&next))?)
+    }
+
+    /// Reads the layer of a store that was committed with so many scans.
+    pub(crate) fn read_beside_store(store: &Path, done: usize) -> Result<Self> {
+        for name in ["intensity", "intensity-next"] {
+            let path = path_beside(store, name);
+            if path.is_file() {
+                let layer = Self::read(&path)?;
+                if layer.layer.scans() == done {
+                    return Ok(layer);
+                }
+            }
+        }
+        let path = Self::path_beside(store);
+        Err(RunError::config(format_args!(
+            "{}: the intensities of the {done} scans in the store are not there",
+            path.display()
+        )))
     }
 
     /// Bytes of its blocks.
@@ -92,12 +190,21 @@ impl Intensity {
         self.layer.memory_bytes()
     }
 
+    /// What was learnt of the sensor.
+    pub fn response(&self) -> &RangeResponse {
+        &self.response
+    }
+
+    pub(crate) fn layer(&self) -> &Layer {
+        &self.layer
+    }
+
     /// Adds a scan that is in `map`; whether it has intensities. Each return counts for the voxel that it lies in, as it would look from
-    /// straight ahead (Lambert), the less the flatter it hit: weighted by the cosine of the incidence. That comes from the map's
-    /// gradient. Sensors correct for the range themselves.
+    /// straight ahead (Lambert) at a middle range, the less the flatter it hit: weighted by the cosine of the incidence. That comes from
+    /// the map's gradient. `map` may be the part of a map that the scan has reached.
     ///
     /// # Errors
-    /// [`RunError::Full`] if there is no memory for it.
+    /// [`RunError::Full`](crate::RunError::Full) if there is no memory for it.
     pub fn add(&mut self, map: &VoxelMap, scan: &Scan) -> Result<bool> {
         let (Some(intensities), Ok(points), Ok(poses)) = (&scan.intensities, scan.points_in_world(), scan.poses())
         else {
@@ -107,115 +214,85 @@ impl Intensity {
             .zip(poses)
             .map(|(point, pose)| (point, pose.translation))
             .collect();
-        let truncation_m = self.layer.config().truncation_m as f32;
-        let grid = self.layer.grid();
-        let update = |(&(point, eye), &intensity): (&(DVec3, DVec3), &f32)| {
-            let (voxel, _) = grid.anchor(point)?.split();
-            let is_measured = intensity >= 0.0 && intensity.is_finite();
+        struct Corrected {
+            point: DVec3,
+            range_m: f32,
+            intensity: f32,
+            weight: f32,
+            /// The logarithm of how much stronger it is than what was there.
+            off: Option<f32>,
+        }
+        let correct = |(&(point, eye), &intensity): (&(DVec3, DVec3), &f32)| {
+            if !(intensity >= 0.0 && intensity.is_finite()) {
+                return None;
+            }
             let gradient = map.sample(point).map(|sample| sample.gradient.normalize_or_zero());
-            let back = (eye - point).as_vec3().normalize_or_zero();
+            let way = (eye - point).as_vec3();
+            let range_m = way.length();
             // Where the map knows no direction, the return counts as one of mean incidence.
-            let cos = gradient.map_or(0.7, |normal| normal.dot(back).abs()).max(LEAST_COS);
-            let corrected = intensity / cos;
-            is_measured.then(|| VoxelUpdate {
-                voxel,
-                distance_m: (2.0 * corrected / (corrected + SCALE) - 1.0) * truncation_m,
+            let cos = gradient
+                .map_or(0.7, |normal| normal.dot(way / range_m).abs())
+                .max(LEAST_COS);
+            let intensity = intensity / cos / self.response.at(range_m);
+            let before = self.layer.exactly_at(point).map(decode);
+            let off = before.filter(|before| *before > 0.5 && intensity > 0.5);
+            Some(Corrected {
+                point,
+                range_m,
+                intensity,
                 weight: cos,
+                off: off.map(|before| (intensity / before).ln()),
             })
         };
-        let updates: Vec<Option<VoxelUpdate>> = returns.par_iter().zip(intensities).map(update).collect();
-        let updated = self.layer.update(updates.into_iter().flatten());
-        updated.map_err(|error| RunError::Full(error.to_string()))?;
+        let corrected: Vec<Option<Corrected>> = returns.par_iter().zip(intensities).map(correct).collect();
+        let known = || corrected.iter().flatten();
+        self.layer
+            .add(known().map(|r| (r.point, encode(r.intensity), r.weight)))?;
+        self.response.learn(known().filter_map(|r| Some((r.range_m, r.off?))));
         Ok(true)
     }
 
     /// The intensity around a point (world), in the sensor's unit, of the voxels around it; `None` where nothing was measured.
     pub fn at(&self, point: DVec3) -> Option<f32> {
-        let (voxel, fraction) = self.layer.grid().anchor(point)?.split();
-        let (mut sum, mut weights) = (0.0, 0.0);
-        for z in -1..=1 {
-            for y in -1..=1 {
-                for x in -1..=1 {
-                    let offset = IVec3::new(x, y, z);
-                    let voxel = self.layer.voxel(voxel + offset);
-                    let far = (offset.as_dvec3() + 0.5 - fraction).length();
-                    if let Some(f) = voxel.distance().filter(|_| far < REACH_VOXELS) {
-                        let weight = voxel.weight() * (1.0 - far / REACH_VOXELS) as f32;
-                        (sum, weights) = (sum + f * weight, weights + weight);
-                    }
-                }
-            }
-        }
-        (weights > 0.0).then(|| {
-            let f = (sum / weights).min(0.999);
-            SCALE * (1.0 + f) / (1.0 - f)
-        })
+        self.layer.at(point).map(decode)
     }
 
-    /// The intensity of each vertex, in the sensor's unit. Where nothing was measured, that of the vertices around; 0 if there is none.
-    pub fn of_vertices(&self, mesh: &Mesh) -> Vec<f32> {
-        let mut values: Vec<f32> = mesh
-            .vertices
-            .par_iter()
-            .map(|vertex| self.at(*vertex).unwrap_or(f32::NAN))
-            .collect();
-        for _ in 0..FILL_ROUNDS {
-            let mut sums = vec![(0.0_f32, 0.0_f32); values.len()];
-            let mut add = |to: u32, from: u32| {
-                let value = values[from as usize];
-                if values[to as usize].is_nan() && !value.is_nan() {
-                    let sum = &mut sums[to as usize];
-                    *sum = (sum.0 + value, sum.1 + 1.0);
-                }
-            };
-            for &[a, b, c] in &mesh.triangles {
-                [(a, b), (a, c), (b, a), (b, c), (c, a), (c, b)]
-                    .into_iter()
-                    .for_each(|(to, from)| add(to, from));
-            }
-            let mut is_done = true;
-            for (value, (sum, count)) in values.iter_mut().zip(sums).filter(|(_, (_, count))| *count > 0.0) {
-                (*value, is_done) = (sum / count, false);
-            }
-            if is_done {
-                break;
-            }
-        }
-        values
-            .iter_mut()
-            .filter(|value| value.is_nan())
-            .for_each(|value| *value = 0.0);
-        values
+    /// The intensity that is shown white: nearly all of the surface is darker.
+    pub fn white(&self) -> f32 {
+        high(&self.layer.some(SAMPLES).into_iter().map(decode).collect::<Vec<f32>>())
     }
 }
 
-/// Voxels farther from a point than this do not count for it.
-const REACH_VOXELS: f64 = 1.6;
-
 /// How intensities of a surface are shown: from black to what nearly all of it is darker than.
 pub fn channel(values: &[f32]) -> Channel {
-    let mut sorted: Vec<f32> = values.iter().copied().step_by(values.len() / 100_000 + 1).collect();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let high = sorted
-        .get(sorted.len().saturating_sub(1) * 97 / 100)
-        .copied()
-        .unwrap_or(1.0);
     Channel {
         name: "intensity".to_owned(),
         unit: String::new(),
         low: 0.0,
-        high: high.max(f32::MIN_POSITIVE),
+        high: high(values),
         ramp: Ramp::Grey,
         first: false,
     }
 }
 
+/// What nearly all of them are less than.
+fn high(values: &[f32]) -> f32 {
+    let mut sorted: Vec<f32> = values.iter().copied().step_by(values.len() / SAMPLES + 1).collect();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let last = sorted.len().saturating_sub(1) as f32;
+    let high = sorted.get((BRIGHT * last) as usize).copied().unwrap_or(1.0);
+    high.max(f32::MIN_POSITIVE)
+}
+
+/// The grey of an intensity, where `white` is shown white. Eyes tell dark greys apart as the square root does.
+pub fn grey(intensity: f32, white: f32) -> [u8; 3] {
+    [(255.0 * (intensity / white).clamp(0.0, 1.0).sqrt() + 0.5) as u8; 3]
+}
+
 /// Grey of each vertex, brighter as it is stronger, for formats that know only colours.
 pub fn greys(values: &[f32]) -> Vec<[u8; 3]> {
-    let high = channel(values).high;
-    // Eyes tell dark greys apart as the square root does.
-    let grey = |value: &f32| (255.0 * (value / high).clamp(0.0, 1.0).sqrt() + 0.5) as u8;
-    values.iter().map(|value| [grey(value); 3]).collect()
+    let white = high(values);
+    values.iter().map(|value| grey(*value, white)).collect()
 }
 
 #[cfg(test)]
@@ -287,6 +364,39 @@ mod tests {
         assert_eq!(greys(&[0.0, 25.0, 100.0])[2], [255; 3]);
     }
 
+    /// A sensor that reports half as much at twice the range, and drives towards a wall.
+    #[test]
+    fn what_a_sensor_reports_less_of_from_afar_is_learnt() {
+        let scan = |i: i32| {
+            let eye = DVec3::X * (0.25 * f64::from(i) - 20.0);
+            let grid =
+                (-60..=60).flat_map(|y| (-30..=30).map(move |z| Vec3::new(0.0, 0.04 * y as f32, 0.04 * z as f32)));
+            let points: Vec<Vec3> = grid.map(|point| point - eye.as_vec3()).collect();
+            let intensity = |point: &Vec3| {
+                let (range, cos) = (point.length(), -eye.x as f32 / point.length());
+                let strength = if point.y > 0.0 { 20.0 } else { 60.0 };
+                strength * cos * 10.0 / range
+            };
+            Scan {
+                intensities: Some(points.iter().map(intensity).collect()),
+                points,
+                pose: Some(Pose {
+                    translation: eye,
+                    ..Pose::IDENTITY
+                }),
+                ..Default::default()
+            }
+        };
+        let scans: Vec<Scan> = (0..72).map(scan).collect();
+        let (_, layer) = fused(&scans);
+        // From 20 m to 5 m, reports grow to four times as much.
+        let learnt = layer.response().at(5.0) / layer.response().at(18.0);
+        assert!((2.0..4.5).contains(&learnt), "{learnt}");
+        // What both halves of the wall have in common does not matter: one is three times as bright.
+        let [dark, bright] = [0.8, -0.8].map(|y| layer.at(DVec3::new(0.0, y, 0.3)).unwrap());
+        assert!((bright / dark - 3.0).abs() < 0.4, "{dark} {bright}");
+    }
+
     #[test]
     fn layers_merge_and_are_saved_like_maps() {
         let scans = scans();
@@ -303,11 +413,11 @@ mod tests {
         let path = Intensity::path_beside(&dir.path().join("street.tsdf"));
         assert!(path.ends_with("street.intensity.tsdf"));
         let [mut first, second] = parts;
-        first.layer.merge(&second.layer).unwrap();
+        first.layer.merge(&second.layer);
         first.save(&path).unwrap();
         let read = Intensity::read(&path).unwrap();
-        for block in whole.layer.block_indices() {
-            assert!(read.layer.block(block).unwrap().voxels == whole.layer.block(block).unwrap().voxels);
+        for block in whole.layer.map().block_indices() {
+            assert!(read.layer.map().block(block).unwrap().voxels == whole.layer.map().block(block).unwrap().voxels);
         }
         tsdfuse_io::map_file::write(&path, &map).unwrap();
         assert!(Intensity::read(&path).unwrap_err().to_string().contains("not a layer"));

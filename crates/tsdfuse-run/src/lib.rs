@@ -26,6 +26,9 @@ mod event;
 mod gpu;
 pub mod intensity;
 mod job;
+mod labels;
+pub mod layer;
+mod layers;
 #[cfg(feature = "live")]
 mod live;
 mod load;
@@ -35,6 +38,7 @@ mod memory;
 mod outputs;
 mod paged;
 pub mod paint;
+mod recording;
 pub mod report;
 mod run;
 pub mod scene;
@@ -46,18 +50,20 @@ mod tracking;
 pub mod view;
 
 pub use checkpoint::Checkpoint;
-pub use config::RunConfig;
+pub use config::{MovingSettings, RunConfig};
 pub use device::Device;
 pub use error::{BadScan, Result, RunError};
 pub use event::{Both, Event, Observer, Silent, Stop};
 #[cfg(feature = "gpu")]
 pub use gpu::pool;
 pub use job::{Input, Job};
+pub use layers::{Colors, Layers};
 #[cfg(feature = "live")]
 pub use live::LiveRun;
 pub use loops::LoopsReport;
 pub use machine::{Machine, peak_memory_bytes};
 pub use outputs::{Outputs, check as check_outputs, check_file};
+pub use recording::Recording;
 pub use report::Report;
 pub use run::Resumed;
 pub use session::Session;

@@ -117,6 +117,7 @@ impl Observer for LiveRun {
                 }
                 self.live.changes(changes);
             }
+            Event::LoopsClosed(ends) => self.live.loops(ends),
             Event::Done { .. } => {
                 self.figures();
                 self.live.end();

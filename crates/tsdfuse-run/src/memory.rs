@@ -11,6 +11,7 @@ use tsdfuse_view::Scene;
 
 use crate::backend::{Backend, Failed, Integrators, Settled, follow};
 use crate::error::{Result, RunError};
+use crate::layers::Layers;
 use crate::report::{MapReport, MeshReport, SavedMap};
 use crate::surface;
 use crate::view::{self, See};
@@ -64,8 +65,15 @@ impl Backend for InMemory {
         Ok(extract_with(&self.map, config)?)
     }
 
-    fn write_surface(&mut self, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport> {
-        surface::write(&self.map, config, path, scene)
+    fn write_surface(
+        &mut self,
+        config: &MeshConfig,
+        path: &Path,
+        scene: &Scene,
+        layers: &Layers,
+    ) -> Result<MeshReport> {
+        let extract = || Ok(extract_with(&self.map, config)?);
+        surface::write_by(extract, &self.map, config, path, scene, layers)
     }
 
     fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap> {

@@ -20,6 +20,10 @@ pub struct Outputs {
     pub color: bool,
     /// Whether intensities are averaged: the mesh and the map get them.
     pub intensity: bool,
+    /// The run as a recording of ROS 2's standard messages, `.mcap`.
+    pub recording: Option<PathBuf>,
+    /// The folder of labels that tell which returns move.
+    pub labels: Option<PathBuf>,
     /// The map.
     pub map: Option<PathBuf>,
     /// The poses of the scans: TUM, or KITTI where scans have no times.
@@ -41,6 +45,7 @@ impl Outputs {
             &self.sensor,
             &self.preview,
             &self.report,
+            &self.recording,
         ];
         files.into_iter().flatten().map(PathBuf::as_path)
     }
@@ -80,6 +85,23 @@ impl Outputs {
                 "--mesh-every with --color or --intensity: meshes on the way have neither",
             ));
         }
+        if let Some(labels) = self
+            .labels
+            .as_deref()
+            .filter(|labels| labels.exists() && !labels.is_dir())
+        {
+            return Err(RunError::config(format_args!(
+                "{}: is a file, not a folder for labels",
+                labels.display()
+            )));
+        }
+        let is_mcap = |path: &PathBuf| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mcap"));
+        if let Some(recording) = self.recording.as_ref().filter(|path| !is_mcap(path)) {
+            return Err(RunError::config(format_args!(
+                "{}: a run is recorded as .mcap",
+                recording.display()
+            )));
+        }
         if let Some(preview) = &self.preview {
             tsdfuse_io::png::check(preview).map_err(RunError::config)?;
         }
@@ -93,6 +115,11 @@ impl Outputs {
     /// [`RunError::Config`] says what.
     pub fn check_in_parts(&self) -> Result<()> {
         let wrong = |reason: String| RunError::config(format_args!("--memory and --store: {reason}"));
+        if self.labels.is_some() {
+            return Err(wrong(
+                "--labels needs a run in one go, with the whole map in memory".to_owned(),
+            ));
+        }
         if self.color {
             return Err(wrong("--color needs the whole map in memory".to_owned()));
         }

@@ -16,6 +16,7 @@ use crate::backend::{Backend, Failed, Integrators, Settled};
 use crate::checkpoint::Checkpoint;
 use crate::error::{Result, RunError};
 use crate::event::{Event, Observer};
+use crate::layers::Layers;
 use crate::report::{MapReport, MeshReport, PagingReport, SavedMap};
 use crate::setup::Setup;
 use crate::surface;
@@ -147,8 +148,14 @@ impl Backend for Paged {
         ))
     }
 
-    fn write_surface(&mut self, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport> {
-        surface::write_in_parts(&mut self.map, config, path, scene)
+    fn write_surface(
+        &mut self,
+        config: &MeshConfig,
+        path: &Path,
+        scene: &Scene,
+        layers: &Layers,
+    ) -> Result<MeshReport> {
+        surface::write_in_parts_with(&mut self.map, config, path, scene, layers)
     }
 
     fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap> {
@@ -158,6 +165,10 @@ impl Backend for Paged {
 
     fn viewer(&mut self, _: f32, _: &mut dyn FnMut(See<'_>) -> Result<()>) -> Result<()> {
         Err(RunError::config("a picture needs the whole map in memory"))
+    }
+
+    fn map_around(&self) -> Option<&VoxelMap> {
+        Some(self.map.map_in_memory())
     }
 
     fn report(&self) -> MapReport {

@@ -229,7 +229,7 @@ fn luminance([r, g, b]: [f32; 3]) -> f32 {
 }
 
 /// Linear light, 0 to 1, of an sRGB value of 255 (IEC 61966-2-1).
-fn linear(srgb: f32) -> f32 {
+pub(crate) fn linear(srgb: f32) -> f32 {
     let value = srgb / 255.0;
     match value <= 0.040_45 {
         true => value / 12.92,
@@ -237,7 +237,7 @@ fn linear(srgb: f32) -> f32 {
     }
 }
 
-fn srgb(light: f32) -> u8 {
+pub(crate) fn srgb(light: f32) -> u8 {
     let value = match light <= 0.003_130_8 {
         true => 12.92 * light,
         false => 1.055 * light.powf(1.0 / 2.4) - 0.055,

@@ -360,7 +360,7 @@ pub struct MeshReport {
 }
 
 /// The colours of a surface.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct ColorReport {
     /// Images that were projected onto it.
     pub images: usize,

@@ -12,6 +12,7 @@ use crate::event::{Event, Observer, Stop};
 use crate::job::{Job, is_unplaced};
 use crate::load::Loading;
 use crate::machine::peak_memory_bytes;
+use crate::recording::Recording;
 use crate::report::{GrowthReport, LogReport, Report};
 use crate::session::Session;
 use crate::setup::{Placing, Setup};
@@ -82,7 +83,15 @@ impl Job {
         observer: &mut dyn Observer,
     ) -> Result<Report> {
         session.stop_by(stop);
-        let growth = self.fuse(&mut session, observer)?;
+        let growth = match &self.outputs.recording {
+            Some(path) => {
+                let mut recording = Recording::create(path, log, stop)?;
+                let growth = self.fuse(&mut session, &mut Recorded(observer, &mut recording));
+                recording.finish()?;
+                growth?
+            }
+            None => self.fuse(&mut session, observer)?,
+        };
         log.news().iter().for_each(|news| observer.on(Event::Note(news)));
         let device = session.device();
         if let Some(path) = &self.outputs.poses {
@@ -101,6 +110,9 @@ impl Job {
             session.write_painted(path, self.outputs.color, observer)
         });
         let mesh = mesh.transpose()?;
+        if let Some(path) = &self.outputs.map {
+            session.save_colors(path)?;
+        }
         let preview = self.outputs.preview.as_deref().map(|path| {
             observer.on(Event::Working("rendering"));
             session.write_preview(path)
@@ -197,8 +209,24 @@ impl Job {
             load_map: self.load_map.clone(),
             initial_pose: self.initial_pose,
             intensity: self.outputs.intensity,
+            labels: self.outputs.labels.clone(),
             follow_every: None,
         })
+    }
+}
+
+/// A run that is watched and recorded.
+struct Recorded<'a>(&'a mut dyn Observer, &'a mut Recording);
+
+impl Observer for Recorded<'_> {
+    fn on(&mut self, event: Event<'_>) {
+        self.0.on(event);
+        self.1.on(event);
+    }
+
+    fn surface_share(&self) -> Option<f64> {
+        let shares = [self.0.surface_share(), self.1.surface_share()];
+        shares.into_iter().flatten().reduce(f64::max)
     }
 }
 

@@ -21,13 +21,15 @@ use crate::event::{Event, Observer, Stop};
 use crate::gpu;
 use crate::intensity::Intensity;
 use crate::job::Job;
+use crate::labels;
+use crate::layers::{Colors, Layers};
 use crate::load::Loading;
 use crate::memory::InMemory;
 use crate::paged::Paged;
 use crate::paint;
 use crate::report::{
-    FinishReport, LoadedMap, MapReport, MeshReport, OdometryReport, PagingReport, SavedMap, ScanReport, SkippedScan,
-    Sums, Totals, ViewReport,
+    ColorReport, FinishReport, LoadedMap, MapReport, MeshReport, OdometryReport, PagingReport, SavedMap, ScanReport,
+    SkippedScan, Sums, Totals, ViewReport,
 };
 use crate::scene;
 use crate::setup::{Placing, Setup};
@@ -35,6 +37,7 @@ use crate::surface::{self, Painting};
 use crate::tracking::{self, Refinement, Tracking};
 use crate::view;
 use tsdfuse_odometry::Quality;
+use tsdfuse_plan::{Moving, MovingConfig};
 
 /// Scans whose regions are loaded ahead.
 const AHEAD: usize = 3;
@@ -76,8 +79,10 @@ pub struct Session {
     repeated: usize,
     /// Poses of the scans to come, where they are known.
     next: VecDeque<Option<Pose>>,
-    /// Intensities beside the map, if they are wanted.
-    intensity: Option<Intensity>,
+    /// What is wanted beside the map.
+    layers: Layers,
+    /// Tells which returns move, if those are wanted.
+    moving: Option<Moving>,
     backend: Box<dyn Backend>,
     /// Scans that were given to the backend but are not settled.
     under_way: VecDeque<UnderWay>,
@@ -253,7 +258,8 @@ impl Session {
             placer,
             repeated,
             next,
-            intensity: None,
+            layers: Layers::default(),
+            moving: None,
             backend,
             under_way: VecDeque::new(),
             poses: Vec::new(),
@@ -277,10 +283,13 @@ impl Session {
     fn started(mut self, observer: &mut dyn Observer) -> Result<Self> {
         let device = self.backend.device();
         if self.setup.intensity {
-            self.intensity = Some(match &self.setup.load_map {
-                Some(map) => Intensity::read(&Intensity::path_beside(map))?,
-                None => Intensity::beside(&self.setup.config.map)?,
-            });
+            self.layers.intensity = Some(self.begun_intensity()?);
+        }
+        if self.setup.config.moving.leave_out || self.setup.labels.is_some() {
+            self.moving = Some(Moving::new(MovingConfig::default()).map_err(RunError::config)?);
+        }
+        if let Some(folder) = &self.setup.labels {
+            labels::begin(folder)?;
         }
         if let Some(loaded) = &self.loaded {
             observer.on(Event::MapLoaded(loaded));
@@ -293,6 +302,17 @@ impl Session {
         });
         self.begun = Instant::now();
         Ok(self)
+    }
+
+    /// The layer of intensities as it was: that of the map that is continued, or of the store at its last commit.
+    fn begun_intensity(&self) -> Result<Intensity> {
+        if let (Some(store), true) = (&self.setup.store, self.checkpoint.done > 0) {
+            return Intensity::read_beside_store(store, self.checkpoint.done);
+        }
+        match &self.setup.load_map {
+            Some(map) => Intensity::read(&Intensity::path_beside(map)),
+            None => Intensity::beside(&self.setup.config.map),
+        }
     }
 
     /// Finds the poses that must be known before anything is fused.
@@ -319,6 +339,14 @@ impl Session {
         let mut to_fuse = self.setup.selection.indices(scans);
         to_fuse.drain(..self.checkpoint.done.min(to_fuse.len()));
         self.next = to_fuse.into_iter().map(|index| placed.pose(index)).collect();
+        if let Some(loops) = &placed.loops {
+            let place = |index| placed.pose(index).map(|pose: Pose| pose.translation);
+            let ends = loops
+                .closures
+                .iter()
+                .filter_map(|c| Some([place(c.earlier)?, place(c.later)?]));
+            observer.on(Event::LoopsClosed(&ends.collect::<Vec<_>>()));
+        }
         self.placer = Placer::Refinement(Box::new(placed));
         self.begun = Instant::now();
         Ok(())
@@ -489,7 +517,17 @@ impl Session {
             let reason = "its place in the saved map was not found: name a rough pose with --initial-pose, or go on looking with --skip-bad";
             return Err(bad(name, reason.to_owned()).into());
         }
+        let measured = self.setup.labels.is_some().then(|| scan.points.clone());
         scan.drop_invalid(&self.setup.config.range);
+        if let Some(moving) = &mut self.moving {
+            let is_moving = moving.classify(&scan).map_err(|error| bad(name, error.to_string()))?;
+            if let (Some(folder), Some(measured)) = (&self.setup.labels, &measured) {
+                labels::write(folder, index, measured, &scan.points, &is_moving)?;
+            }
+            if self.setup.config.moving.leave_out {
+                scan.drop_moving(&is_moving);
+            }
+        }
         observer.on(Event::ScanRead { index, scan: &scan });
         self.guess_sensor(sensor, &scan);
         let dropping = start.elapsed().as_secs_f64();
@@ -499,7 +537,7 @@ impl Session {
             Failed::Scan(reason) => bad(&scan.name, format!("{}: {reason}", self.name)).into(),
             Failed::Run(error) => error,
         })?;
-        if let (Some(layer), Some(map)) = (&mut self.intensity, self.backend.map()) {
+        if let (Some(layer), Some(map)) = (&mut self.layers.intensity, self.backend.map_around()) {
             layer.add(map, &scan)?;
         }
         let took = start.elapsed().as_secs_f64();
@@ -650,7 +688,15 @@ impl Session {
     /// # Errors
     /// If the store cannot be written; it then holds what was committed before.
     pub fn commit(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        let layer = self.layers.intensity.as_mut().zip(self.setup.store.as_deref());
+        let is_layered = layer.is_some();
+        if let Some((layer, store)) = layer {
+            layer.save_before_commit(store, self.checkpoint.done)?;
+        }
         let is_stored = self.backend.commit(&self.checkpoint.bytes(), &self.poses)?;
+        if let (true, Some(store)) = (is_layered, self.setup.store.as_deref()) {
+            Intensity::committed(store)?;
+        }
         self.committed = Some(self.checkpoint.done);
         if is_stored && let Some(path) = &self.setup.store {
             observer.on(Event::MapStored {
@@ -788,35 +834,57 @@ impl Session {
     /// [`RunError::Nothing`] if there is none; if the file cannot be written.
     pub fn write_surface(&mut self, path: &Path) -> Result<MeshReport> {
         let scene = self.scene();
-        self.backend.write_surface(&self.setup.config.mesh, path, &scene)
+        self.backend
+            .write_surface(&self.setup.config.mesh, path, &scene, &self.layers)
     }
 
-    /// As [`Self::write_surface`], with the intensities of returns, if they were averaged ([`Setup::intensity`]), and the colours that
-    /// the log's cameras saw, if they are wanted; then as `.ply`, `.glb` or `.html`.
+    /// As [`Self::write_surface`], also with the colours that the log's cameras saw, if they are wanted; then as `.ply`, `.glb`,
+    /// `.html` or `NAME/tileset.json`. Colours stay known: [`Self::save_map`] saves them.
     ///
     /// # Errors
     /// As [`Self::write_surface`]; [`RunError::Config`] if colours are wanted and the log has no images with known poses, or the map is
     /// not all in memory.
     pub fn write_painted(&mut self, path: &Path, color: bool, observer: &mut dyn Observer) -> Result<MeshReport> {
-        if !color && self.intensity.is_none() {
+        if !color {
             return self.write_surface(path);
         }
         let start = Instant::now();
         let config = self.setup.config.mesh;
         let mesh = self.backend.mesh(&config)?;
-        let mut painting = Painting {
-            colors: None,
-            intensities: self.intensity.as_ref().map(|layer| layer.of_vertices(&mesh)),
-        };
         let log = &self.log;
-        if color {
-            self.backend.viewer(config.min_weight, &mut |see| {
-                painting.colors = Some(paint::paint(&mesh, see.renderer, log, observer)?);
-                Ok(())
-            })?;
+        let mut painted = None;
+        self.backend.viewer(config.min_weight, &mut |see| {
+            painted = Some(paint::paint(&mesh, see.renderer, log, observer)?);
+            Ok(())
+        })?;
+        if let Some(painted) = &painted {
+            let before = self.setup.load_map.as_deref().map(Colors::read_beside).transpose()?;
+            let mut colors = match before.flatten() {
+                Some(colors) => colors,
+                None => Colors::beside(&self.setup.config.map)?,
+            };
+            colors.add(&mesh, painted)?;
+            self.layers.colors = Some(colors);
         }
+        let scene = self.scene();
+        if surface::is_tileset(path) {
+            let images = painted.map(|painted| painted.images);
+            let report = self.backend.write_surface(&config, path, &scene, &self.layers)?;
+            return Ok(MeshReport {
+                color: images.map(|images| ColorReport {
+                    images,
+                    ..ColorReport::default()
+                }),
+                ..report
+            });
+        }
+        // Finer than the layers: what each vertex was seen as.
+        let painting = Painting {
+            colors: painted,
+            intensities: self.layers.intensity.as_ref().map(|layer| layer.of_vertices(&mesh)),
+        };
         let seconds = start.elapsed().as_secs_f64();
-        let report = surface::write_painted(&mesh, &painting, path, &self.scene())?;
+        let report = surface::write_painted(&mesh, &painting, path, &scene)?;
         Ok(MeshReport { seconds, ..report })
     }
 
@@ -851,15 +919,26 @@ impl Session {
         tracking::write_sensor(path, &self.log, found)
     }
 
-    /// Saves the map of the scans so far, with their poses, and intensities as a layer of their own ([`Intensity::path_beside`]).
+    /// Saves the map of the scans so far, with their poses; intensities and colours, as far as they are known, as layers of their own
+    /// beside it ([`Layers::read_beside`]).
     ///
     /// # Errors
     /// If the file cannot be written.
     pub fn save_map(&mut self, path: &Path) -> Result<SavedMap> {
-        if let Some(layer) = &self.intensity {
+        if let Some(layer) = &self.layers.intensity {
             layer.save(&Intensity::path_beside(path))?;
         }
+        self.save_colors(path)?;
         self.backend.save(path, &self.poses)
+    }
+
+    /// Saves the colours, if they are known, beside a saved map.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn save_colors(&self, map: &Path) -> Result<()> {
+        let colors = self.layers.colors.as_ref();
+        colors.map_or(Ok(()), |colors| colors.save_beside(map))
     }
 
     /// Writes a picture of the whole map.

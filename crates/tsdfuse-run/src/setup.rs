@@ -55,6 +55,8 @@ pub struct Setup {
     pub initial_pose: Option<Pose>,
     /// Whether intensities of returns are averaged in a layer beside the map.
     pub intensity: bool,
+    /// The folder in which it is written for each scan which of its returns move.
+    pub labels: Option<PathBuf>,
     /// Scans from one [`Event::SurfaceChanged`](crate::Event::SurfaceChanged) to the next; `None`: nobody wants to know.
     pub follow_every: Option<usize>,
 }
@@ -75,6 +77,7 @@ impl Default for Setup {
             load_map: None,
             initial_pose: None,
             intensity: false,
+            labels: None,
             follow_every: None,
         }
     }
@@ -111,9 +114,14 @@ impl Setup {
                 "--initial-pose is where a sensor without poses is in a saved map: it needs --load-map, and a log without poses or --poses track",
             ));
         }
-        if self.intensity && (self.is_paged() || self.device != Device::Cpu) {
+        if self.intensity && self.device != Device::Cpu {
             return Err(RunError::config(
-                "--intensity needs the whole map in memory, fused by the CPU: leave out --memory, --store and --device",
+                "--intensity needs a map that is fused by the CPU: leave out --device",
+            ));
+        }
+        if self.store.is_some() && (self.config.moving.leave_out || self.labels.is_some()) {
+            return Err(RunError::config(
+                "--store: a run that goes on would not know what was free before; leave out moving.leave_out and --labels",
             ));
         }
         if self.is_paged() {

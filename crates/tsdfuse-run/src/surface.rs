@@ -12,6 +12,7 @@ use tsdfuse_view::{Paint, Scene, page};
 
 use crate::error::{Result, RunError};
 use crate::intensity;
+use crate::layers::Layers;
 use crate::paint::Painted;
 use crate::report::{ColorReport, MeshReport, SavedMap};
 
@@ -35,15 +36,19 @@ pub fn check(path: &Path) -> Result<()> {
         .map_err(|error| RunError::config(format_args!("{error}, as .html, or as NAME/tileset.json")))
 }
 
-/// Whether [`write_painted`] can write to such a file.
+/// Whether colours can be written to such a file.
 ///
 /// # Errors
 /// [`RunError::Config`] names what is possible.
 pub fn check_painted(path: &Path) -> Result<()> {
+    if is_tileset(path) {
+        return tiles::check(path);
+    }
     if page::is_page(path) {
         return Ok(());
     }
-    tsdfuse_io::mesh::check_colored(path).map_err(|error| RunError::config(format_args!("{error} or as .html")))
+    tsdfuse_io::mesh::check_colored(path)
+        .map_err(|error| RunError::config(format_args!("{error}, as .html, or as NAME/tileset.json")))
 }
 
 /// Whether [`write_in_parts`] can write to such a file.
@@ -65,10 +70,17 @@ pub fn check_in_parts(path: &Path) -> Result<()> {
 /// # Errors
 /// [`RunError::Nothing`] for a map without surface; if the file cannot be written.
 pub fn write(map: &VoxelMap, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport> {
-    write_by(|| Ok(extract_with(map, config)?), map, config, path, scene)
+    write_by(
+        || Ok(extract_with(map, config)?),
+        map,
+        config,
+        path,
+        scene,
+        &Layers::default(),
+    )
 }
 
-/// As [`write()`], where something else extracts the mesh of the map.
+/// As [`write()`], where something else extracts the mesh of the map, and with what layers tell of it.
 ///
 /// # Errors
 /// As [`write()`], and what `extract` says.
@@ -78,11 +90,12 @@ pub fn write_by(
     config: &MeshConfig,
     path: &Path,
     scene: &Scene,
+    layers: &Layers,
 ) -> Result<MeshReport> {
     if is_tileset(path) {
-        return tiles::write(path, &mut Surface::new(map, config));
+        return tiles::write(path, &mut Surface::new(map, config), layers);
     }
-    write_mesh(extract, map.block_count(), config, path, scene)
+    write_mesh(extract, map.block_count(), config, path, scene, layers)
 }
 
 /// Writes one mesh file, of a map of so many blocks.
@@ -92,6 +105,7 @@ pub(crate) fn write_mesh(
     config: &MeshConfig,
     path: &Path,
     scene: &Scene,
+    layers: &Layers,
 ) -> Result<MeshReport> {
     let start = Instant::now();
     let mesh = extract()?;
@@ -102,6 +116,10 @@ pub(crate) fn write_mesh(
         )));
     }
     let seconds = start.elapsed().as_secs_f64();
+    if !layers.is_empty() && check_painted(path).is_ok() {
+        let report = write_painted(&mesh, &layers.painting(&mesh), path, scene)?;
+        return Ok(MeshReport { seconds, ..report });
+    }
     if page::is_page(path) {
         page::write(path, scene, &tsdfuse_view::Surface::of(&mesh))?;
     } else {
@@ -126,6 +144,22 @@ pub struct Painting {
     pub intensities: Option<Vec<f32>>,
 }
 
+impl Painting {
+    /// The mesh with all of that, for pages and views.
+    pub fn with<T>(&self, mesh: &Mesh, show: impl FnOnce(&tsdfuse_view::Surface<'_>) -> T) -> T {
+        let channels = self.intensities.iter();
+        let channels: Vec<_> = channels
+            .map(|values| (intensity::channel(values), values.as_slice()))
+            .collect();
+        let colors = self.colors.as_ref().map(|painted| painted.colors.as_slice());
+        let paint = Paint {
+            colors: colors.unwrap_or_default(),
+            channels: &channels,
+        };
+        show(&tsdfuse_view::Surface { mesh, paint })
+    }
+}
+
 /// Writes a mesh that was extracted from a map, with what is known of its vertices, as `.ply`, `.glb` or `.html`. Formats that have
 /// only colours show intensities as greys, where there are no colours.
 ///
@@ -138,17 +172,7 @@ pub fn write_painted(mesh: &Mesh, painting: &Painting, path: &Path, scene: &Scen
     let start = Instant::now();
     let colors = painting.colors.as_ref().map(|painted| painted.colors.as_slice());
     if page::is_page(path) {
-        let channel = |values: &'_ Vec<f32>| intensity::channel(values);
-        let channels: Vec<_> = painting
-            .intensities
-            .iter()
-            .map(|values| (channel(values), values.as_slice()))
-            .collect();
-        let paint = Paint {
-            colors: colors.unwrap_or_default(),
-            channels: &channels,
-        };
-        page::write(path, scene, &tsdfuse_view::Surface { mesh, paint })?;
+        painting.with(mesh, |surface| page::write(path, scene, surface))?;
     } else {
         let greys = || painting.intensities.as_deref().map(intensity::greys);
         let colors = colors.map(<[_]>::to_vec).or_else(greys).unwrap_or_default();
@@ -177,17 +201,31 @@ pub fn write_painted(mesh: &Mesh, painting: &Painting, path: &Path, scene: &Scen
 /// # Errors
 /// As [`write()`]; if the store cannot be read.
 pub fn write_in_parts(map: &mut PagedMap, config: &MeshConfig, path: &Path, scene: &Scene) -> Result<MeshReport> {
+    write_in_parts_with(map, config, path, scene, &Layers::default())
+}
+
+/// As [`write_in_parts`], with what layers tell of the surface; then the whole mesh is in memory, unless it becomes tiles.
+///
+/// # Errors
+/// As [`write_in_parts`].
+pub fn write_in_parts_with(
+    map: &mut PagedMap,
+    config: &MeshConfig,
+    path: &Path,
+    scene: &Scene,
+    layers: &Layers,
+) -> Result<MeshReport> {
     if is_tileset(path) {
-        return tiles::write(path, &mut map.surface(config));
+        return tiles::write(path, &mut map.surface(config), layers);
     }
-    if page::is_page(path) {
+    if page::is_page(path) || !layers.is_empty() {
         let blocks = map.sizes().blocks as usize;
         let mut whole = Whole(Mesh::default());
         let extract = || {
             map.mesh(config, &mut whole)?;
             Ok(whole.0)
         };
-        return write_mesh(extract, blocks, config, path, scene);
+        return write_mesh(extract, blocks, config, path, scene, layers);
     }
     let start = Instant::now();
     let mut out = Parts(ply::Stream::new(path)?);
@@ -258,15 +296,19 @@ mod tiles {
     use tsdfuse::mesh::Surface;
 
     use crate::error::{Result, RunError};
+    use crate::layers::Layers;
     use crate::report::{MeshReport, TilesReport};
 
     pub(super) fn check(path: &Path) -> Result<()> {
         tsdfuse_tiles::check(path).map(drop).map_err(RunError::config)
     }
 
-    pub(super) fn write(path: &Path, surface: &mut Surface<'_>) -> Result<MeshReport> {
+    pub(super) fn write(path: &Path, surface: &mut Surface<'_>, layers: &Layers) -> Result<MeshReport> {
         let start = Instant::now();
-        let written = tsdfuse_tiles::write(path, surface)?;
+        let written = match layers.is_empty() {
+            true => tsdfuse_tiles::write(path, surface)?,
+            false => tsdfuse_tiles::write_colored(path, surface, &layers.vertex_coloring())?,
+        };
         Ok(MeshReport {
             path: path.to_owned(),
             vertices: written.vertices,
@@ -295,7 +337,7 @@ mod tiles {
         Err(RunError::config(format_args!("{}: {told}", path.display())))
     }
 
-    pub(super) fn write<S>(path: &Path, _: S) -> Result<MeshReport> {
+    pub(super) fn write<S>(path: &Path, _: S, _: &crate::layers::Layers) -> Result<MeshReport> {
         check(path)?;
         Ok(MeshReport::default())
     }

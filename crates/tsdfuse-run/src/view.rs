@@ -3,12 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use tsdfuse::glam::DVec3;
-use tsdfuse::render::{Camera, ImageKind, RenderConfig, Renderer, View, overview};
+use tsdfuse::glam::{DVec3, Vec3};
+use tsdfuse::render::{Camera, Hit, Image, ImageKind, RenderConfig, Renderer, View, overview, viridis};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Pose, VoxelMap};
 
 use crate::error::{Result, RunError};
+use crate::intensity::{self, Intensity};
+use crate::layers::Colors;
 use crate::report::ViewReport;
 
 /// Looks through a camera from a pose (`world_from_camera`).
@@ -49,20 +51,73 @@ pub(crate) fn on_cpu(map: &VoxelMap, min_weight: f32, look: &mut dyn FnMut(See<'
     })
 }
 
+/// What a picture shows.
+#[derive(Clone, Copy, Debug)]
+pub enum Picture<'a> {
+    /// What is seen as such.
+    Plain(ImageKind),
+    /// Heights in the colours of "viridis": of what is seen, all but the lowest and the highest fiftieth.
+    Height,
+    /// Intensities as greys.
+    Intensity(&'a Intensity),
+    /// What cameras saw.
+    Color(&'a Colors),
+}
+
+/// The colour of surface of which nothing is known.
+const UNKNOWN: Vec3 = Vec3::new(0.36, 0.42, 0.52);
+
+impl Picture<'_> {
+    /// The picture of a view.
+    pub fn of(&self, view: &View, camera: &Camera, pose: Pose) -> Image {
+        let rays = camera.rays();
+        let place = |pixel: usize, hit: &Hit| {
+            let (direction, _) = rays.of(pixel % view.width, pixel / view.width);
+            pose.translation + pose.rotation * direction * f64::from(hit.range_m)
+        };
+        let shown = |color: [u8; 3]| Vec3::from_array(color.map(f32::from)) / 255.0;
+        match self {
+            Self::Plain(ImageKind::Shaded) => view.shaded(camera, pose),
+            Self::Plain(kind) => view.image(*kind),
+            Self::Height => {
+                let hits = view.hits.iter().enumerate();
+                let mut heights: Vec<f64> = hits.filter_map(|(i, hit)| Some(place(i, hit.as_ref()?).z)).collect();
+                heights.sort_unstable_by(f64::total_cmp);
+                let at = |share: f64| {
+                    heights
+                        .get((share * heights.len() as f64) as usize)
+                        .copied()
+                        .unwrap_or_default()
+                };
+                let (low, high) = (at(0.02), at(0.98));
+                let share = |z: f64| ((z - low) / (high - low).max(1e-3)).clamp(0.0, 1.0) as f32;
+                view.lit(camera, pose, |i, hit| shown(viridis(share(place(i, hit).z))) * 1.15)
+            }
+            Self::Intensity(layer) => {
+                let white = layer.white();
+                view.lit(camera, pose, |i, hit| {
+                    layer
+                        .at(place(i, hit))
+                        .map_or(UNKNOWN, |value| shown(intensity::grey(value, white)) * 1.15)
+                })
+            }
+            Self::Color(colors) => view.lit(camera, pose, |i, hit| {
+                colors.at(place(i, hit)).map_or(UNKNOWN, |color| shown(color) * 1.15)
+            }),
+        }
+    }
+}
+
 /// Looks once, and writes pictures of what is seen.
 ///
 /// # Errors
 /// If a file cannot be written.
-pub fn write(look: &mut Look<'_>, camera: &Camera, pose: Pose, files: &[(ImageKind, PathBuf)]) -> Result<ViewReport> {
+pub fn write(look: &mut Look<'_>, camera: &Camera, pose: Pose, files: &[(Picture<'_>, PathBuf)]) -> Result<ViewReport> {
     let start = Instant::now();
     let view = look(camera, pose)?;
     let seconds = start.elapsed().as_secs_f64();
-    for (kind, path) in files {
-        let image = match kind {
-            ImageKind::Shaded => view.shaded(camera, pose),
-            kind => view.image(*kind),
-        };
-        tsdfuse_io::png::write(path, &image)?;
+    for (picture, path) in files {
+        tsdfuse_io::png::write(path, &picture.of(&view, camera, pose))?;
     }
     Ok(ViewReport {
         pose: pose.to_row_major_3x4(),
@@ -86,6 +141,6 @@ pub(crate) fn preview(see: See<'_>, driven: &[DVec3], path: &Path) -> Result<Vie
     let camera = preview_camera();
     let pose = overview(renderer, &camera, driven);
     let pose = pose.ok_or_else(|| RunError::Nothing("the map has no surface".to_owned()))?;
-    let file = (ImageKind::Shaded, path.to_owned());
+    let file = (Picture::Plain(ImageKind::Shaded), path.to_owned());
     write(&mut look, &Camera::Pinhole(camera), pose, &[file])
 }

@@ -43,4 +43,5 @@ mod write;
 struct Readme;
 
 pub use error::{Result, TilesError};
-pub use write::{Written, check, write};
+pub use tile::Coloring;
+pub use write::{Written, check, write, write_colored};

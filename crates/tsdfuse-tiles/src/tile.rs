@@ -7,7 +7,7 @@ use tsdfuse::Mesh;
 use tsdfuse::glam::{DVec3, IVec3};
 use tsdfuse::index::Grid;
 use tsdfuse::mesh::{CUBE_VOXELS, Weld, is_on_plane};
-use tsdfuse_io::glb;
+use tsdfuse_io::{atomic, glb};
 
 use crate::bounds::Bounds;
 use crate::error::Result;
@@ -23,13 +23,16 @@ const FINE_VOXELS: f64 = 8192.0;
 /// Voxels along the edge of a tile of level 0.
 const FINEST_VOXELS: i64 = CUBE_VOXELS as i64 / 2;
 
+/// What tells the colour of each vertex of a mesh.
+pub type Coloring<'a> = dyn Fn(&Mesh) -> Vec<[u8; 3]> + Sync + 'a;
+
 /// Where tiles are written, and their frame.
-#[derive(Debug)]
 pub(crate) struct Place<'a> {
     pub(crate) folder: &'a Path,
     /// The origin of the tiles' positions, world, metres.
     pub(crate) origin: DVec3,
     pub(crate) grid: Grid,
+    pub(crate) colors: Option<&'a Coloring<'a>>,
 }
 
 /// A cube of space: level l is divided into cubes of [`FINEST_VOXELS`]·2ˡ voxels.
@@ -136,8 +139,13 @@ impl Tile {
             ..
         } = self;
         let uri = format!("{cube}.glb");
+        let colors = place.colors.map(|colors| colors(&mesh));
         mesh.vertices.iter_mut().for_each(|v| *v -= place.origin);
-        glb::write(place.folder.join(&uri), &mesh)?;
+        let path = place.folder.join(&uri);
+        match colors {
+            Some(colors) => atomic::write(path, |out| glb::write_colored_to(out, &mesh, &colors))?,
+            None => glb::write(path, &mesh)?,
+        }
         Ok(Node::new(uri, &bounds.seen_from(place.origin), error_m, children))
     }
 }

@@ -11,7 +11,7 @@ use tsdfuse_io::Error;
 use tsdfuse_io::atomic::{self, Folder};
 
 use crate::error::{Result, TilesError};
-use crate::tile::{Cube, Place, Tile};
+use crate::tile::{Coloring, Cube, Place, Tile};
 use crate::tileset::Tileset;
 
 /// The level at which at most eight tiles, those around the origin, cover any map.
@@ -51,6 +51,18 @@ pub fn check(tileset: &Path) -> Result<&Path> {
 /// As [`check`]; [`TilesError::Surface`] if the map cannot be read, [`TilesError::NoSurface`] if it has no surface,
 /// [`TilesError::File`] if a file cannot be written.
 pub fn write(tileset: &Path, surface: &mut Surface<'_>) -> Result<Written> {
+    write_with(tileset, surface, None)
+}
+
+/// As [`write()`], with a colour (sRGB) for each vertex: `colors` tells those of a mesh whose vertices lie in the world.
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_colored(tileset: &Path, surface: &mut Surface<'_>, colors: &Coloring<'_>) -> Result<Written> {
+    write_with(tileset, surface, Some(colors))
+}
+
+fn write_with(tileset: &Path, surface: &mut Surface<'_>, colors: Option<&Coloring<'_>>) -> Result<Written> {
     let folder = Folder::begin(check(tileset)?)?;
     let mut cubes = surface.cubes();
     let config = *surface.config();
@@ -59,6 +71,7 @@ pub fn write(tileset: &Path, surface: &mut Surface<'_>) -> Result<Written> {
             folder: folder.path(),
             origin: middle(&cubes, surface.grid().voxel_size_m()),
             grid: surface.grid(),
+            colors,
         },
         surface,
         written: Written::default(),

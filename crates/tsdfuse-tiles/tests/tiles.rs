@@ -13,8 +13,9 @@ use tsdfuse::map::{Block, Voxel};
 use tsdfuse::mesh::{MeshConfig, Surface, extract, is_on_plane};
 use tsdfuse::{MapConfig, Mesh, VoxelMap};
 use tsdfuse_eval::Reference;
+use tsdfuse_io::glb;
 use tsdfuse_store::PagedMap;
-use tsdfuse_tiles::{Written, write};
+use tsdfuse_tiles::{Written, write, write_colored};
 
 /// Only the speck is higher.
 const SPECK_M: f64 = 8.0;
@@ -65,6 +66,51 @@ fn hills(origin: IVec3) -> VoxelMap {
 fn tiled(map: &VoxelMap, folder: &Path) -> Written {
     let mut surface = Surface::new(map, &MeshConfig::default());
     write(&folder.join("tileset.json"), &mut surface).unwrap()
+}
+
+#[test]
+fn vertices_of_all_levels_have_the_colours_of_their_places() {
+    let map = hills(IVec3::ZERO);
+    let dir = tempfile::tempdir().unwrap();
+    let mut surface = Surface::new(&map, &MeshConfig::default());
+    let color = |v: &DVec3| if v.x > 12.0 { [255, 255, 255] } else { [0, 0, 0] };
+    let colors = |mesh: &Mesh| mesh.vertices.iter().map(color).collect();
+    write_colored(&dir.path().join("t/tileset.json"), &mut surface, &colors).unwrap();
+    // All tiles have one frame, whose x axis is the world's: the border between both colours is at one place.
+    let (mut last_black, mut first_white, mut count) = (f64::MIN, f64::MAX, 0);
+    for path in fs::read_dir(dir.path().join("t"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+    {
+        if path.extension().is_some_and(|e| e == "glb") {
+            let bytes = fs::read(&path).unwrap();
+            let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+            let json: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+            let accessor = json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]
+                .as_u64()
+                .unwrap();
+            let view = json["accessors"][accessor as usize]["bufferView"].as_u64().unwrap();
+            let offset = json["bufferViews"][view as usize]["byteOffset"].as_u64().unwrap_or(0) as usize;
+            let colors = &bytes[20 + length + 8 + offset..];
+            for (vertex, color) in glb::parse(&path, &bytes)
+                .unwrap()
+                .vertices
+                .iter()
+                .zip(colors.chunks_exact(4))
+            {
+                match color[..3] {
+                    [0, 0, 0] => last_black = last_black.max(vertex.x),
+                    [255, 255, 255] => first_white = first_white.min(vertex.x),
+                    _ => panic!("{color:?} is neither"),
+                }
+                count += 1;
+            }
+        }
+    }
+    assert!(
+        count > 1000 && last_black < first_white,
+        "{count} {last_black} {first_white}"
+    );
 }
 
 fn tileset(folder: &Path) -> Value {

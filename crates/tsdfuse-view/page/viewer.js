@@ -207,6 +207,21 @@ const tsdfuse = (() => {
       setLine(sensorDot, scene.live ? path.slice(-3) : []);
     };
     showPath();
+    // Closed loops: a dot at both ends, and what lies between.
+    const loopDots = new T.Points(new T.BufferGeometry(), new T.PointsMaterial({ color: 0x7c3aed, size: 8, sizeAttenuation: false }));
+    loopDots.frustumCulled = false;
+    over.add(loopDots);
+    let loopLines = [];
+    const setLoops = (ends) => {
+      for (const line of loopLines) { over.remove(line); line.geometry.dispose(); }
+      loopLines = [];
+      setLine(loopDots, ends);
+      for (let i = 0; i < ends.length; i += 6) {
+        const line = lineOf(0x7c3aed);
+        setLine(line, ends.slice(i, i + 6));
+        loopLines.push(line);
+      }
+    };
     const sweep = new T.Points(new T.BufferGeometry(), new T.PointsMaterial({ color: 0x0f766e, size: 2, sizeAttenuation: false }));
     sweep.frustumCulled = false;
     over.add(sweep);
@@ -497,7 +512,7 @@ const tsdfuse = (() => {
     const actions = {
       KeyF: () => setFlying(!flying),
       KeyM: toggle($("measure"), (on) => { measuring = on; forget(); tell.textContent = on ? "Click two points" : ""; }),
-      KeyP: toggle($("path"), (on) => { pathLine.visible = pathDots.visible = on; }),
+      KeyP: toggle($("path"), (on) => { for (const shown of [pathLine, pathDots, loopDots, ...loopLines]) shown.visible = on; }),
       KeyL: toggle($("sweep"), (on) => { sweep.visible = on; }),
       KeyT: () => { setFlying(false); top(); },
       KeyH: () => { setFlying(false); home(); },
@@ -536,7 +551,7 @@ const tsdfuse = (() => {
       look, setMode, setClip, measureAt,
       state: () => ({
         mode, flying, measuring, frames, ...counted, tiles: tilesShown(), meshes: surface.children.length, clip: uniforms.clip.value,
-        eye: camera.position.toArray(), at: controls.target.toArray(), path: path.length / 3, ahead: camera.getWorldDirection(new T.Vector3()).toArray(),
+        eye: camera.position.toArray(), at: controls.target.toArray(), path: path.length / 3, loops: loopLines.length, ahead: camera.getWorldDirection(new T.Vector3()).toArray(),
         labels: labels.map(({ element }) => element.textContent), figures: [...$("table").rows].map((row) => row.textContent), status: tell.textContent,
       }),
     });
@@ -675,6 +690,7 @@ const tsdfuse = (() => {
           for (const x of news.path) path.push(x);
           showPath();
         }
+        if (news.loops) setLoops(news.loops);
         if (news.seconds.length) { seconds.push(...news.seconds); plot(); }
         if (news.figures) setFigures(news.figures);
         if (news.sweep !== null) setLine(sweep, new Float32Array(buffer.slice(at, at + news.sweep)));

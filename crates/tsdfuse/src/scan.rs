@@ -64,12 +64,16 @@ pub struct Dropped {
     pub masked: u64,
     /// Its time is missing or not within the scan, so that it cannot be placed.
     pub untimed: u64,
+    /// Of something that moves, which is not to be fused.
+    #[serde(default)]
+    pub moving: u64,
 }
 
 impl Dropped {
     /// All of them.
     pub fn total(&self) -> u64 {
-        self.not_finite + self.no_return + self.too_near + self.too_far + self.other_sensor + self.masked + self.untimed
+        let invalid = self.not_finite + self.no_return + self.too_near + self.too_far;
+        invalid + self.other_sensor + self.masked + self.untimed + self.moving
     }
 }
 
@@ -82,6 +86,7 @@ impl std::ops::AddAssign for Dropped {
         self.other_sensor += other.other_sensor;
         self.masked += other.masked;
         self.untimed += other.untimed;
+        self.moving += other.moving;
     }
 }
 
@@ -223,6 +228,16 @@ impl Scan {
             .collect();
         self.dropped += dropped;
         if dropped.total() > 0 {
+            self.keep_only(&keep);
+        }
+    }
+
+    /// Removes the returns whose entry is true: those of things that move. They are counted in `dropped`.
+    pub fn drop_moving(&mut self, is_moving: &[bool]) {
+        let keep: Vec<bool> = is_moving.iter().map(|is_moving| !is_moving).collect();
+        let moving = is_moving.iter().filter(|is_moving| **is_moving).count();
+        if moving > 0 {
+            self.dropped.moving += moving as u64;
             self.keep_only(&keep);
         }
     }

@@ -1,4 +1,4 @@
-//! `tsdfuse map slice`, `map section` and `map terrain`: floor plans, cuts and heights.
+//! `tsdfuse map slice`, `map section`, `map terrain` and `map ground`: floor plans, cuts, heights, and what can be driven on.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,9 @@ use tsdfuse::raster::{GroundConfig, Plane, Raster};
 use tsdfuse::render::plan;
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::nav2::{self, OccupancyGrid};
+use tsdfuse_io::npz::Arrays;
 use tsdfuse_io::{geotiff, png};
+use tsdfuse_plan::{GroundConfig as GroundGridConfig, GroundGrid};
 use tsdfuse_run::{RunError, check_outputs};
 
 use crate::args::parse_pair;
@@ -74,6 +76,36 @@ pub(super) struct Terrain {
     place: Place,
 }
 
+/// Write which ground can be driven on, as a grid seen from above: elevation, slope, step, roughness and traversability.
+#[derive(Debug, clap::Args)]
+pub(super) struct Ground {
+    /// A saved map or a store.
+    map: PathBuf,
+    /// The layers: bands of a GeoTIFF (.tif), arrays for NumPy (.npz), or costs for nav2 (.yaml, with .pgm).
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// The steepest slope that can be driven on, degrees.
+    #[arg(long, value_name = "DEG", default_value_t = GroundGridConfig::default().max_slope_deg)]
+    max_slope: f64,
+    /// The highest step that can be driven over, metres.
+    #[arg(long, value_name = "M", default_value_t = GroundGridConfig::default().max_step_m)]
+    max_step: f64,
+    /// The greatest roughness, metres: how far heights are off the plane around them.
+    #[arg(long, value_name = "M", default_value_t = GroundGridConfig::default().max_roughness_m)]
+    max_roughness: f64,
+    /// What hangs higher than this can be driven under, metres.
+    #[arg(long, value_name = "M", default_value_t = GroundGridConfig::default().clearance_m)]
+    clearance: f64,
+    /// Slope and roughness are those within this distance, metres.
+    #[arg(long, value_name = "M", default_value_t = GroundGridConfig::default().radius_m)]
+    radius: f64,
+    /// The EPSG code of the log's projected coordinates [default: none is written].
+    #[arg(long, value_name = "CODE")]
+    epsg: Option<u16>,
+    #[command(flatten)]
+    place: Place,
+}
+
 /// Which part, and how fine.
 #[derive(Debug, clap::Args)]
 struct Place {
@@ -83,7 +115,7 @@ struct Place {
     /// The upper right corner.
     #[arg(long, value_name = "X,Y", value_parser = parse_pair, allow_hyphen_values = true)]
     to: Option<DVec2>,
-    /// Edge of a cell, metres [default: a voxel].
+    /// Edge of a cell, metres [default: a voxel; of ground 0.2, or a voxel where that is larger].
     #[arg(long, value_name = "M")]
     cell: Option<f64>,
 }
@@ -93,7 +125,7 @@ const AROUND_M: f64 = 40.0;
 
 impl Place {
     /// A raster of the rectangle that was asked for, or of what lies around the path within `low` to `high`.
-    fn raster(&self, map: &VoxelMap, poses: &[FusedPose], [low, high]: [DVec3; 2]) -> Result<Raster> {
+    fn raster(&self, default_cell_m: f64, poses: &[FusedPose], [low, high]: [DVec3; 2]) -> Result<Raster> {
         let places = || poses.iter().map(|fused| fused.pose.translation.truncate());
         let (mut low, mut high) = (low.truncate(), high.truncate());
         if let (Some(first), Some(last)) = (places().reduce(DVec2::min), places().reduce(DVec2::max)) {
@@ -103,7 +135,7 @@ impl Place {
             }
         }
         // Whole cells, so that rasters of one map fit together.
-        let cell_m = self.cell.unwrap_or(map.config().voxel_size_m);
+        let cell_m = self.cell.unwrap_or(default_cell_m);
         (low, high) = ((low / cell_m).floor() * cell_m, (high / cell_m).ceil() * cell_m);
         let (low, high) = (self.from.unwrap_or(low), self.to.unwrap_or(high));
         Ok(Raster::covering(low, high, cell_m).map_err(Usage::new)?)
@@ -157,7 +189,9 @@ pub(super) fn slice(args: &Slice) -> Result<Outcome> {
     let _spinner = working("cutting");
     let (map, poses) = read_any_with_poses(&args.map)?;
     let at_height = |[low, high]: &[DVec3; 2]| low.z <= args.height && args.height < high.z;
-    let raster = args.place.raster(&map, &poses, bounds(&map, &args.map, at_height)?)?;
+    let raster = args
+        .place
+        .raster(map.config().voxel_size_m, &poses, bounds(&map, &args.map, at_height)?)?;
     let raster = raster.slice(&map, &Plane::level(args.height));
     if is_png {
         png::write(&args.output, &plan(&raster))?;
@@ -200,7 +234,9 @@ pub(super) fn terrain(args: &Terrain) -> Result<Outcome> {
     check_outputs(&[&args.map], &outputs)?;
     let _spinner = working("finding the ground");
     let (map, poses) = read_any_with_poses(&args.map)?;
-    let raster = args.place.raster(&map, &poses, bounds(&map, &args.map, |_| true)?)?;
+    let raster = args
+        .place
+        .raster(map.config().voxel_size_m, &poses, bounds(&map, &args.map, |_| true)?)?;
     let mesh = extract_with(&map, &MeshConfig::default())?;
     drop(map);
     let lowest = raster.clone().lowest_level(&mesh, STEEPEST_DEG.to_radians());
@@ -213,4 +249,95 @@ pub(super) fn terrain(args: &Terrain) -> Result<Outcome> {
         geotiff::write(path, &raster.highest(&mesh), args.epsg)?;
     }
     Ok(told(&ground, &outputs))
+}
+
+/// Cells of ground, metres, if voxels are no larger.
+const GROUND_CELL_M: f64 = 0.2;
+
+pub(super) fn ground(args: &Ground) -> Result<Outcome> {
+    let extension = args.output.extension().map(|e| e.to_string_lossy().to_lowercase());
+    let is_grid = matches!(extension.as_deref(), Some("yaml" | "yml"));
+    let is_npz = extension.as_deref() == Some("npz");
+    if !(is_grid || is_npz || geotiff::is_geotiff(&args.output)) {
+        let output = args.output.display();
+        return Err(Usage::new(format_args!("{output}: ground is written as .tif, .npz or .yaml")).into());
+    }
+    let config = GroundGridConfig {
+        radius_m: args.radius,
+        clearance_m: args.clearance,
+        max_slope_deg: args.max_slope,
+        max_step_m: args.max_step,
+        max_roughness_m: args.max_roughness,
+    };
+    let picture = is_grid.then(|| nav2::picture_beside(&args.output)).transpose()?;
+    let outputs: Vec<&Path> = std::iter::once(&*args.output).chain(picture.as_deref()).collect();
+    check_outputs(&[&args.map], &outputs)?;
+    let _spinner = working("finding the ground");
+    let (map, poses) = read_any_with_poses(&args.map)?;
+    let cell_m = GROUND_CELL_M.max(map.config().voxel_size_m);
+    let shape = args.place.raster(cell_m, &poses, bounds(&map, &args.map, |_| true)?)?;
+    let mesh = extract_with(&map, &MeshConfig::default())?;
+    drop(map);
+    let ground = GroundGrid::of(&mesh, &shape, &config).map_err(Usage::new)?;
+    if ground.elevation.known() == 0 {
+        return Err(RunError::Nothing(format!("{}: no surface there faces up", args.map.display())).into());
+    }
+    if is_npz {
+        write_arrays(&args.output, &ground)?;
+    } else if is_grid {
+        let cost = |&share: &f32| (!share.is_nan()).then_some((100.0 * (1.0 - share)).round() as u8);
+        let traversability = &ground.traversability;
+        let grid = OccupancyGrid {
+            origin: traversability.low,
+            cell_m: traversability.cell_m,
+            width: traversability.width,
+            costs: traversability
+                .values
+                .chunks(traversability.width)
+                .rev()
+                .flatten()
+                .map(cost)
+                .collect(),
+        };
+        nav2::write(&args.output, &grid)?;
+    } else {
+        geotiff::write_layers(&args.output, &ground.layers(), args.epsg)?;
+    }
+    let drivable = ground
+        .traversability
+        .values
+        .iter()
+        .filter(|share| **share > 0.0)
+        .count();
+    let outcome = told(&ground.elevation, &outputs);
+    say(format_args!(
+        "  drivable {:.0} m²",
+        drivable as f64 * cell_area(&ground.elevation)
+    ));
+    Ok(outcome)
+}
+
+fn cell_area(raster: &Raster) -> f64 {
+    raster.cell_m * raster.cell_m
+}
+
+/// Layers as arrays, row by row from the highest y on.
+fn write_arrays(path: &Path, ground: &GroundGrid) -> Result<()> {
+    let Raster {
+        low,
+        cell_m,
+        width,
+        height,
+        ..
+    } = ground.elevation;
+    tsdfuse_io::atomic::write(path, |out| {
+        let mut arrays = Arrays::new(out);
+        for (name, layer) in ground.layers() {
+            arrays.add(name, &[height, width], layer.values.iter().copied())?;
+        }
+        arrays.add("low_m", &[2], low.to_array())?;
+        arrays.add("cell_m", &[], [cell_m])?;
+        arrays.finish()
+    })?;
+    Ok(())
 }

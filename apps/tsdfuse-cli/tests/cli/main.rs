@@ -13,6 +13,7 @@ mod fuse;
 mod gpu;
 mod help;
 mod info;
+mod layers;
 mod map;
 mod page;
 mod paging;

@@ -166,3 +166,39 @@ fn a_bad_frame_can_be_skipped() {
         run.stderr
     );
 }
+
+#[test]
+fn colour_images_beside_depth_images_give_the_mesh_its_colours() {
+    let folder = Folder::new();
+    let set = wall(&folder);
+    let green = tsdfuse::render::Image {
+        width: 160,
+        height: 120,
+        pixels: tsdfuse::render::Pixels::Rgb(vec![[20, 200, 40]; 160 * 120]),
+    };
+    for number in 0..3 {
+        let path = Path::new(&set).join(format!("frame-{number:06}.color.png"));
+        tsdfuse_io::png::write(path, &green).unwrap();
+    }
+    let (mesh, map) = (folder.text("wall.ply"), folder.text("wall.tsdf"));
+    let report = tsdfuse(&["fuse", &set, "-o", &mesh, "--color", "--save-map", &map, "--json"])
+        .succeeded()
+        .json();
+    let color = &report["mesh"]["color"];
+    assert_eq!(color["images"], 3);
+    let (seen, all) = (
+        color["vertices"].as_f64().unwrap(),
+        report["mesh"]["vertices"].as_f64().unwrap(),
+    );
+    assert!(seen > 0.9 * all, "{seen} of {all}");
+    // They are saved beside the map.
+    let picture = folder.text("view.png");
+    tsdfuse(&["render", &map, "-o", &picture, "--image", "color", "--size", "80x60"]).succeeded();
+    let shown = tsdfuse_io::photo::decode(&picture, &fs::read(&picture).unwrap()).unwrap();
+    let greens = shown
+        .pixels
+        .iter()
+        .filter(|p| p[1] > 2 * p[0] && p[1] > 2 * p[2])
+        .count();
+    assert!(greens > 100, "{greens}");
+}

@@ -8,9 +8,9 @@ use tsdfuse::sensor::Pinhole;
 
 use super::image::{self, ImageSize};
 use super::layout::{Frame, Image, Layout, beside_or_above};
-use super::{camera, seven_scenes, tum};
+use super::{camera, colors, seven_scenes, tum};
 use crate::error::{Error, Result};
-use crate::source::{OpenOptions, ScanRef, Sensor, Source};
+use crate::source::{ImageRef, OpenOptions, ScanRef, Sensor, Source};
 use crate::{files, present};
 
 /// Nearer than any depth camera measures, metres.
@@ -27,6 +27,7 @@ pub(crate) struct DepthImages {
     files: Vec<Files>,
     /// Which pixels count in all frames.
     mask: Option<Vec<bool>>,
+    images: Vec<ImageRef>,
     notes: Vec<String>,
 }
 
@@ -104,8 +105,10 @@ impl DepthImages {
                 files.len()
             ));
         }
+        let images = colors::images(root, &frames, camera, &mut notes)?;
         Ok(Self {
             format,
+            images,
             sensors: [Sensor {
                 camera: Some(camera),
                 min_range_m: Some(MIN_RANGE_M),
@@ -174,6 +177,10 @@ impl Source for DepthImages {
             dropped,
             ..Default::default()
         })
+    }
+
+    fn images(&self) -> &[ImageRef] {
+        &self.images
     }
 
     fn notes(&self) -> &[String] {

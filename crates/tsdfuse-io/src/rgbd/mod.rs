@@ -19,6 +19,7 @@
 //! Points are in the sensor frame (x forward, y left, z up), on the rays through the centres of their pixels.
 
 pub(crate) mod camera;
+mod colors;
 mod depth_images;
 pub(crate) mod image;
 mod layout;

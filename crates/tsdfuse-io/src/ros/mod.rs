@@ -29,6 +29,7 @@ mod frames;
 pub(crate) mod fuzzing;
 mod images;
 mod lidar;
+mod map_messages;
 mod mcap;
 mod messages;
 mod motion;
@@ -45,6 +46,7 @@ mod writer;
 mod tests;
 
 pub(crate) use follow::Follow;
+pub use map_messages::SurfacePart;
 #[cfg(test)]
 pub(crate) use mcap::MAGIC as MAGIC_MCAP;
 pub(crate) use recording::Recording;

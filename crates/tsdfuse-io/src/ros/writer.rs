@@ -15,7 +15,7 @@ use crate::point_rows;
 use crate::source::{ImuSample, Sensor};
 
 /// The frame in which the poses are.
-const WORLD: &str = "map";
+pub(super) const WORLD: &str = "map";
 /// Chunks that hold a sweep or two.
 const CHUNK: u64 = 4 << 20;
 
@@ -30,16 +30,18 @@ pub struct Writer {
     /// Channel, topic and frame of each sensor's clouds.
     clouds: Vec<(u16, String)>,
     tf: u16,
+    /// Channels of other topics.
+    others: BTreeMap<String, u16>,
     /// The times at which each sensor's pose was told, and the last scan's.
     told: Vec<BTreeMap<i64, Pose>>,
     scans: u64,
 }
 
 /// A message of CDR, little-endian.
-struct Cdr(Vec<u8>);
+pub(super) struct Cdr(Vec<u8>);
 
 impl Cdr {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self(vec![0, 1, 0, 0])
     }
 
@@ -49,26 +51,48 @@ impl Cdr {
         self.0.resize(len, 0);
     }
 
-    fn number<const N: usize>(&mut self, bytes: [u8; N]) {
+    pub(super) fn number<const N: usize>(&mut self, bytes: [u8; N]) {
         self.align(N);
         self.0.extend(bytes);
     }
 
-    fn u32(&mut self, value: usize) {
+    pub(super) fn u32(&mut self, value: usize) {
         self.number(u32::try_from(value).unwrap_or(u32::MAX).to_le_bytes());
     }
 
-    fn text(&mut self, text: &str) {
+    pub(super) fn text(&mut self, text: &str) {
         self.u32(text.len() + 1);
         self.0.extend(text.bytes());
         self.0.push(0);
     }
 
-    fn header(&mut self, time_ns: i64, frame: &str) {
+    pub(super) fn header(&mut self, time_ns: i64, frame: &str) {
+        self.time(time_ns);
+        self.text(frame);
+    }
+
+    pub(super) fn time(&mut self, time_ns: i64) {
         let secs = i32::try_from(time_ns.div_euclid(1_000_000_000)).unwrap_or(i32::MAX);
         self.number(secs.to_le_bytes());
         self.number((time_ns.rem_euclid(1_000_000_000) as u32).to_le_bytes());
-        self.text(frame);
+    }
+
+    /// A position, or translation, and a quaternion.
+    pub(super) fn pose(&mut self, pose: &Pose) {
+        let (p, q) = (pose.translation, pose.rotation);
+        for v in [p.x, p.y, p.z, q.x, q.y, q.z, q.w] {
+            self.number(v.to_le_bytes());
+        }
+    }
+
+    pub(super) fn color(&mut self, [r, g, b]: [f32; 3]) {
+        for v in [r, g, b, 1.0] {
+            self.number(v.to_le_bytes());
+        }
+    }
+
+    pub(super) fn byte(&mut self, byte: u8) {
+        self.0.push(byte);
     }
 }
 
@@ -107,11 +131,12 @@ impl Writer {
             told: vec![BTreeMap::new(); clouds.len()],
             clouds,
             tf,
+            others: BTreeMap::new(),
             scans: 0,
         })
     }
 
-    fn write(&mut self, channel_id: u16, time_ns: i64, message: &Cdr) -> Result<()> {
+    pub(super) fn write(&mut self, channel_id: u16, time_ns: i64, message: &Cdr) -> Result<()> {
         let time = u64::try_from(time_ns).map_err(|_| Error::format(&self.path, "MCAP has no times before 1970"))?;
         let header = MessageHeader {
             channel_id,
@@ -121,6 +146,28 @@ impl Writer {
         };
         let written = self.mcap.write_to_known_channel(&header, &message.0);
         written.map_err(|e| Error::format(&self.path, e.to_string()))
+    }
+
+    /// The channel of a topic with messages of one kind, which is made where it is not there yet.
+    pub(super) fn channel(&mut self, topic: &str, kind: &str) -> Result<u16> {
+        if let Some(channel) = self.others.get(topic) {
+            return Ok(*channel);
+        }
+        let channel = channel(&mut self.mcap, topic, kind).map_err(|e| Error::format(&self.path, e.to_string()))?;
+        self.others.insert(topic.to_owned(), channel);
+        Ok(channel)
+    }
+
+    /// The frame of the first sensor.
+    pub(super) fn frame(&self) -> String {
+        self.clouds
+            .first()
+            .map_or("sensor".to_owned(), |(_, frame)| frame.clone())
+    }
+
+    /// When a scan without a time is said to be: a tenth of a second after the one before.
+    pub fn time_ns(&self, scan: &Scan) -> i64 {
+        scan.time_ns.unwrap_or(1_000_000_000 + self.scans as i64 * 100_000_000)
     }
 
     /// Writes the next scan of a sensor, by its number.
@@ -133,18 +180,14 @@ impl Writer {
             self.clouds.get(sensor).cloned().ok_or_else(|| {
                 Error::dataset(&self.path, format!("{} is of a sensor that was not told of", scan.name))
             })?;
-        // Scans without times get some, a tenth of a second apart.
-        let time_ns = scan.time_ns.unwrap_or(1_000_000_000 + self.scans as i64 * 100_000_000);
+        let time_ns = self.time_ns(scan);
         self.scans += 1;
         for (time_ns, pose) in self.poses(sensor, time_ns, scan) {
             let mut message = Cdr::new();
             message.u32(1);
             message.header(time_ns, WORLD);
             message.text(&frame);
-            let (p, q) = (pose.translation, pose.rotation);
-            for v in [p.x, p.y, p.z, q.x, q.y, q.z, q.w] {
-                message.number(v.to_le_bytes());
-            }
+            message.pose(&pose);
             self.write(self.tf, time_ns, &message)?;
         }
         self.write(channel, time_ns, &cloud(scan, time_ns, &frame))

@@ -1,6 +1,7 @@
 //! Points that stand for a piece of the surface.
 
-use tsdfuse::glam::{DVec3, I64Vec3};
+use fearless_simd::{Level, dispatch};
+use tsdfuse::glam::{DVec3, IVec3};
 use tsdfuse::mesh::Piece;
 
 use super::lattice::{CELLS, Lattice};
@@ -25,7 +26,7 @@ const MAX_SAMPLES: i32 = 16;
 #[derive(Debug, Default)]
 pub(super) struct Sampler {
     /// In steps.
-    samples: Vec<I64Vec3>,
+    samples: Vec<IVec3>,
     /// Sum of heights and number of samples of each cell.
     cells: Vec<(i64, i64)>,
 }
@@ -33,9 +34,10 @@ pub(super) struct Sampler {
 impl Sampler {
     /// The sites of a piece, in order; none for what lies outside of the grid.
     pub(super) fn sites(&mut self, lattice: &Lattice, piece: &Piece<'_>) -> Vec<Site> {
-        self.sample(lattice, piece);
-        let steps = I64Vec3::splat(i64::from(lattice.cell_steps()));
-        let cell_of = |sample: &I64Vec3| sample.div_euclid(steps);
+        dispatch!(Level::new(), _ => self.sample(lattice, piece));
+        // A power of two.
+        let shift = lattice.cell_steps().trailing_zeros();
+        let cell_of = |sample: &IVec3| *sample >> shift;
         let bounds = self.samples.iter().map(cell_of).fold(None, |bounds, cell| {
             let (low, high) = bounds.unwrap_or((cell, cell));
             Some((cell.min(low), cell.max(high)))
@@ -49,11 +51,11 @@ impl Sampler {
         for sample in &self.samples {
             let at = cell_of(sample) - low;
             let (sum, count) = &mut self.cells[((at.x * size.y + at.y) * size.z + at.z) as usize];
-            (*sum, *count) = (*sum + sample.z, *count + 1);
+            (*sum, *count) = (*sum + i64::from(sample.z), *count + 1);
         }
-        let site = |(at, &(sum, count)): (i64, &(i64, i64))| Site {
-            x: (low.x + at / (size.y * size.z)) as i32,
-            y: (low.y + at / size.z % size.y) as i32,
+        let site = |(at, &(sum, count)): (i32, &(i64, i64))| Site {
+            x: low.x + at / (size.y * size.z),
+            y: low.y + at / size.z % size.y,
             // To the nearest, halves up: so a move by whole voxels changes nothing.
             z: (2 * sum + count).div_euclid(2 * count) as i32,
         };
@@ -65,6 +67,7 @@ impl Sampler {
     }
 
     /// All vertices, and points in between where they are far apart.
+    #[inline(always)]
     fn sample(&mut self, lattice: &Lattice, piece: &Piece<'_>) {
         /// Farther from the origin, steps do not fit an `i32`.
         const FAR: f64 = (1 << 30) as f64;
@@ -74,7 +77,7 @@ impl Sampler {
             let steps = lattice.steps_of(point);
             if steps.abs().max_element() < FAR {
                 // To the nearest step: voxel centres may lie on borders of cells.
-                samples.push((steps + 0.5).floor().as_i64vec3());
+                samples.push((steps + 0.5).floor().as_ivec3());
             }
         };
         piece.vertices.iter().copied().for_each(&mut put);

@@ -158,6 +158,11 @@ impl Live {
         self.shared.change(|state| state.sweep(bytes.into()));
     }
 
+    /// Tells which places of the path are one, since loops were closed there, world; in place of those before.
+    pub fn loops(&self, ends: &[[DVec3; 2]]) {
+        self.shared.change(|state| state.loops(ends));
+    }
+
     /// Tells figures for people.
     pub fn figures(&self, figures: Vec<(String, String)>) {
         self.shared.change(|state| state.figures(figures));

@@ -76,6 +76,7 @@ pub(super) struct Seen {
     path_epoch: u64,
     seconds: usize,
     sweep: u64,
+    loops: u64,
     figures: u64,
 }
 
@@ -96,6 +97,8 @@ pub(super) struct State {
     path_epoch: u64,
     seconds: Vec<f32>,
     sweep: (u64, Arc<[u8]>),
+    /// Both ends of each loop that was closed.
+    loops: (u64, Vec<[DVec3; 2]>),
     figures: (u64, Vec<(String, String)>),
 }
 
@@ -126,6 +129,9 @@ struct Head<'a> {
     path_from: usize,
     path: Vec<f64>,
     seconds: &'a [f32],
+    /// All loops that were closed: x, y, z of both ends.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    loops: Option<Vec<f64>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     figures: Option<&'a [(String, String)]>,
     /// Bytes of the sweep: x, y, z of each return.
@@ -199,6 +205,10 @@ impl State {
         self.sweep = (self.sweep.0 + 1, bytes);
     }
 
+    pub(super) fn loops(&mut self, ends: &[[DVec3; 2]]) {
+        self.loops = (self.loops.0 + 1, ends.to_vec());
+    }
+
     pub(super) fn figures(&mut self, figures: Vec<(String, String)>) {
         self.figures = (self.figures.0 + 1, figures);
     }
@@ -229,13 +239,14 @@ impl State {
             (seen.path_epoch, seen.path) = (self.path_epoch, 0);
         }
         if let Some(lattice) = self.lattice {
-            let relative = |place: &DVec3| ((*place - lattice.origin) * 1e3).round() / 1e3;
-            head.path = self.path[seen.path..]
-                .iter()
-                .flat_map(|place| relative(place).to_array())
-                .collect();
+            let relative = |place: &DVec3| (((*place - lattice.origin) * 1e3).round() / 1e3).to_array();
+            head.path = self.path[seen.path..].iter().flat_map(relative).collect();
             head.path_from = seen.path;
             seen.path = self.path.len();
+            if seen.loops != self.loops.0 {
+                head.loops = Some(self.loops.1.iter().flatten().flat_map(relative).collect());
+                seen.loops = self.loops.0;
+            }
         }
         head.seconds = &self.seconds[seen.seconds..];
         seen.seconds = self.seconds.len();

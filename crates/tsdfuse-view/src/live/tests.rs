@@ -121,6 +121,22 @@ fn viewers_are_told_what_changed_and_late_ones_all() {
 }
 
 #[test]
+fn closed_loops_are_told_once() {
+    let live = Live::serve(ANY_PORT, "").unwrap();
+    live.begin(DVec3::ZERO, 0.05);
+    let mut viewer = Viewer::of(&live);
+    viewer.take();
+    live.loops(&[[DVec3::X, DVec3::Y], [DVec3::Z, DVec3::X]]);
+    let head = viewer.take();
+    assert_eq!(
+        head["loops"],
+        serde_json::json!([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+    );
+    live.path(&[DVec3::X]);
+    assert!(viewer.take().get("loops").is_none());
+}
+
+#[test]
 fn a_path_that_changed_is_told_anew() {
     let live = Live::serve(ANY_PORT, "").unwrap();
     live.begin(DVec3::ZERO, 0.05);

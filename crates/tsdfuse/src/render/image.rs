@@ -125,8 +125,8 @@ const VIRIDIS: [[f32; 3]; 10] = [
     [253.0, 231.0, 37.0],
 ];
 
-/// The colour at a share of the map, 0..=1.
-pub(crate) fn viridis(share: f32) -> [u8; 3] {
+/// The colour of "viridis" (Smith, van der Walt and Firing 2015) at a share of its range, 0..=1.
+pub fn viridis(share: f32) -> [u8; 3] {
     let at = share * 9.0;
     let low = (at as usize).min(8);
     let s = at - low as f32;

@@ -6,12 +6,28 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use glam::{DQuat, DVec3};
 
 use super::Renderer;
+use super::camera::Camera;
 use crate::Pose;
 use crate::index::{BlockIndex, RegionIndex, voxel_at};
 use crate::sensor::Pinhole;
 
 /// How far down the camera looks.
 const PITCH_RAD: f64 = 0.65;
+
+/// How far an overview may look down.
+const PITCHES_RAD: [f64; 3] = [0.35, 0.5, 0.65];
+
+/// Overviews are tried from so many sides.
+const TURNS: usize = 12;
+
+/// Pixels in a row of the pictures that tell how much is seen.
+const TRIAL: u32 = 64;
+
+/// Shares of the surface that may lie beyond each side of an overview.
+const OUTSIDE: [f64; 6] = [0.01, 0.03, 0.06, 0.1, 0.15, 0.2];
+
+/// Points that stand for the surface, at most.
+const POINTS: usize = 4000;
 
 /// How far the view turns away from looking straight across the map's long side.
 const OBLIQUE_RAD: f64 = 0.45;
@@ -42,21 +58,49 @@ const SHORTEST_M: f64 = 0.2;
 /// The share of the image that stays free at its borders.
 const MARGIN: f64 = 0.04;
 
-/// The pose from which a camera sees most of the map's surface across its long side; what is far out and sparse may lie outside of
-/// the picture. Of a map whose sensor's `path` (world) is known, only what lies around it counts; without surface there, all does.
-/// `None` for a map without surface.
+/// The pose from which a camera sees most of the map's surface, and little else: of views from all sides, the one whose picture holds the
+/// most of the surface times the share of its pixels that see some. Of a map whose sensor's `path` (world) is known, only what lies
+/// around it counts; without surface there, all does. `None` for a map without surface.
 pub fn overview(renderer: &Renderer, camera: &Pinhole, path: &[DVec3]) -> Option<Pose> {
-    turntable(renderer, camera, path, 1).pop()
+    let hull = Hull::of(renderer, path)?;
+    let scale = TRIAL as f32 / camera.width as f32;
+    let height = ((camera.height as f32 * scale).round() as u32).max(1);
+    let small = Pinhole {
+        width: TRIAL,
+        height,
+        fx: camera.fx * scale,
+        fy: camera.fy * scale,
+        cx: 0.5 * (TRIAL - 1) as f32,
+        cy: 0.5 * (height - 1) as f32,
+    };
+    let turns = (0..TURNS).map(|i| OBLIQUE_RAD + TAU * i as f64 / TURNS as f64);
+    let axes = turns.flat_map(|turn| PITCHES_RAD.map(|pitch| hull.axes(turn, pitch)));
+    let tries = axes.flat_map(|axes| OUTSIDE.map(|outside| (axes, outside)));
+    let tried = tries.filter_map(|(axes, outside)| {
+        let place = hull.framing(camera, axes, outside);
+        let pose = Pose {
+            rotation: axes,
+            translation: hull.center + axes * place,
+        };
+        let view = renderer.view(&Camera::Pinhole(small), pose).ok()?;
+        let seen = hull.share_within(camera, pose) * view.hit_count() as f64 / view.hits.len() as f64;
+        Some((seen, pose))
+    });
+    // The first of the best.
+    let best = tried.reduce(|best, other| if other.0 > best.0 { other } else { best });
+    best.map(|(_, pose)| pose)
 }
 
-/// `count` poses around the map, all as far from it; the first looks as [`overview`] does, the others follow
-/// counter-clockwise. None for a map without surface.
+/// `count` poses around most of the map's surface, all as far from it; the first looks across its long side, the others follow
+/// counter-clockwise. What is far out and sparse may lie outside of the pictures. What counts is as for [`overview`]. None for a map without surface.
 pub fn turntable(renderer: &Renderer, camera: &Pinhole, path: &[DVec3], count: usize) -> Vec<Pose> {
     let Some(hull) = Hull::of(renderer, path) else {
         return Vec::new();
     };
     let turns = (0..count).map(|i| OBLIQUE_RAD + TAU * i as f64 / count as f64);
-    let places: Vec<_> = turns.map(|turn| (hull.axes(turn), hull.place(camera, turn))).collect();
+    let places: Vec<_> = turns
+        .map(|turn| (hull.axes(turn, PITCH_RAD), hull.place(camera, turn)))
+        .collect();
     let back = places.iter().map(|(_, place)| place.x).fold(0.0, f64::min);
     let pose = |(axes, place): (DQuat, DVec3)| Pose {
         rotation: axes,
@@ -203,6 +247,8 @@ struct Hull {
     half: DVec3,
     /// From the world's x axis to its own, about z.
     heading_rad: f64,
+    /// Of the surface that counts: places from the centre, world axes, and how much each stands for.
+    points: Vec<(DVec3, u32)>,
 }
 
 impl Hull {
@@ -237,42 +283,93 @@ impl Hull {
         let along = along.map(|(low, high)| (low - 0.5 * block_m, high + 0.5 * block_m));
         let low = DVec3::from(along.map(|(low, _)| low));
         let high = DVec3::from(along.map(|(_, high)| high));
+        let center = own_from_world.conjugate() * (0.5 * (low + high));
+        let step = points.len().div_ceil(POINTS);
         Some(Self {
-            center: first + own_from_world.conjugate() * (0.5 * (low + high)),
+            center: first + center,
             half: 0.5 * (high - low),
             heading_rad,
+            points: points
+                .into_iter()
+                .step_by(step)
+                .map(|(p, cells)| (p - center, cells))
+                .collect(),
         })
     }
 
-    /// The camera's axes in the world where it looks across the box, turned counter-clockwise about it.
-    fn axes(&self, turn_rad: f64) -> DQuat {
-        DQuat::from_rotation_z(self.heading_rad + FRAC_PI_2 + turn_rad) * DQuat::from_rotation_y(PITCH_RAD)
+    /// The camera's axes in the world where it looks down across the box, turned counter-clockwise about it.
+    fn axes(&self, turn_rad: f64, pitch_rad: f64) -> DQuat {
+        DQuat::from_rotation_z(self.heading_rad + FRAC_PI_2 + turn_rad) * DQuat::from_rotation_y(pitch_rad)
+    }
+
+    /// The nearest place for a camera with these axes, from the centre in its axes, such that at most a share of the surface lies beyond
+    /// each side of its image, metres.
+    fn framing(&self, camera: &Pinhole, axes: DQuat, outside: f64) -> DVec3 {
+        let own: Vec<(DVec3, u32)> = self
+            .points
+            .iter()
+            .map(|(p, cells)| (axes.conjugate() * *p, *cells))
+            .collect();
+        let fit = |axis: usize, pixels: u32, focal: f32| {
+            let t = half_view(pixels, focal);
+            let most = |sign: f64| {
+                let beyond = own.iter().map(|(p, cells)| (sign * p[axis] - t * p.x, *cells));
+                Spread::new(beyond.collect()).at(1.0 - outside)
+            };
+            between(most(1.0), most(-1.0), t)
+        };
+        let (left, by_width) = fit(1, camera.width, camera.fx);
+        let (up, by_height) = fit(2, camera.height, camera.fy);
+        DVec3::new(-by_width.max(by_height), left, up)
+    }
+
+    /// The share of the surface that a camera has in its image.
+    fn share_within(&self, camera: &Pinhole, pose: Pose) -> f64 {
+        let camera_from_world = pose.inverse();
+        let sum = |is_counted: &dyn Fn(DVec3) -> bool| {
+            let counted = self.points.iter().filter(|(p, _)| is_counted(*p));
+            counted.map(|(_, cells)| f64::from(*cells)).sum::<f64>()
+        };
+        let is_within = |p: DVec3| {
+            let seen = camera_from_world.transform_point(self.center + p);
+            camera.pixel(seen.as_vec3()).is_some()
+        };
+        sum(&is_within) / sum(&|_| true)
     }
 
     /// The nearest place from which the whole box is in the image, from the box's centre in the camera's axes, metres.
     fn place(&self, camera: &Pinhole, turn_rad: f64) -> DVec3 {
-        let camera_from_own = self.axes(turn_rad).conjugate() * DQuat::from_rotation_z(self.heading_rad);
+        let camera_from_own = self.axes(turn_rad, PITCH_RAD).conjugate() * DQuat::from_rotation_z(self.heading_rad);
         let corners = [0, 1, 2, 3, 4, 5, 6, 7].map(|c| {
             let side = |bit: i32| if c & bit == 0 { -1.0 } else { 1.0 };
             camera_from_own * (self.half * DVec3::new(side(1), side(2), side(4)))
         });
-        // From (−d, s) a corner (x, y) is in the image if |y − s| ≤ t·(x + d), t being the tangent of half the field of view:
-        // d ≥ (a − s)/t and d ≥ (b + s)/t with a = max(y − t x), b = max(−y − t x). Best is s = (a − b)/2, d = (a + b)/2t.
         let fit = |axis: usize, pixels: u32, focal: f32| {
-            let t = (0.5 - MARGIN) * f64::from(pixels) / f64::from(focal);
+            let t = half_view(pixels, focal);
             let most = |sign: f64| {
                 corners
                     .iter()
                     .map(|p| sign * p[axis] - t * p.x)
                     .fold(f64::MIN, f64::max)
             };
-            let (a, b) = (most(1.0), most(-1.0));
-            (0.5 * (a - b), 0.5 * (a + b) / t)
+            between(most(1.0), most(-1.0), t)
         };
         let (left, by_width) = fit(1, camera.width, camera.fx);
         let (up, by_height) = fit(2, camera.height, camera.fy);
         DVec3::new(-by_width.max(by_height), left, up)
     }
+}
+
+/// The tangent of half the field of view, without the borders that stay free.
+fn half_view(pixels: u32, focal: f32) -> f64 {
+    (0.5 - MARGIN) * f64::from(pixels) / f64::from(focal)
+}
+
+/// How far to the side, and how far back, a camera is whose image just holds some points. From (−d, s) a point (x, y) is in the image if
+/// |y − s| ≤ t·(x + d), t being the tangent of half the field of view: d ≥ (a − s)/t and d ≥ (b + s)/t with a = max(y − t x),
+/// b = max(−y − t x). Best is s = (a − b)/2, d = (a + b)/2t.
+fn between(a: f64, b: f64, t: f64) -> (f64, f64) {
+    (0.5 * (a - b), 0.5 * (a + b) / t)
 }
 
 #[cfg(test)]
