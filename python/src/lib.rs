@@ -14,6 +14,7 @@ mod log;
 mod map;
 mod mesh;
 mod odometry;
+mod plan;
 mod program;
 mod render;
 mod scan;
@@ -44,6 +45,8 @@ mod _core {
     use super::mesh::Mesh;
     #[pymodule_export]
     use super::odometry::{Odometry, Trajectory, track};
+    #[pymodule_export]
+    use super::plan::{Esdf, Moving, Occupancy, ground};
     #[pymodule_export]
     use super::program::{command, set_threads, threads, version};
     #[pymodule_export]

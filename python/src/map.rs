@@ -24,6 +24,7 @@ use crate::data::{from_python, to_python};
 use crate::error::{OrRaise, exception, wrong};
 use crate::mesh::Mesh;
 use crate::odometry::Trajectory;
+use crate::plan::OwnPiece;
 use crate::scan::{Columns, Scan};
 use crate::sensor;
 use crate::store::read_any;
@@ -778,6 +779,32 @@ impl Pieces {
 }
 
 impl Changes {
+    /// The pieces, as the engine takes them.
+    pub(crate) fn pieces(&self, py: Python<'_>) -> PyResult<Vec<OwnPiece>> {
+        let (blocks, vertices) = (self.blocks.bind(py).to_vec()?, self.vertices.bind(py).to_vec()?);
+        let triangles = self.triangles.bind(py).to_vec()?;
+        let ends = |offsets: &Py<PyArray1<i64>>| -> PyResult<Vec<usize>> {
+            Ok(offsets.bind(py).to_vec()?.into_iter().map(|end| end as usize).collect())
+        };
+        let (vertex_ends, triangle_ends) = (ends(&self.vertex_offsets)?, ends(&self.triangle_offsets)?);
+        let piece = |i: usize| {
+            let block = glam::IVec3::from_slice(blocks.get(3 * i..)?.get(..3)?);
+            let vertices = vertices.get(3 * vertex_ends[i]..3 * vertex_ends[i + 1])?;
+            let triangles = triangles.get(3 * triangle_ends[i]..3 * triangle_ends[i + 1])?;
+            Some(OwnPiece {
+                block,
+                vertices: vertices.chunks_exact(3).map(DVec3::from_slice).collect(),
+                triangles: triangles
+                    .chunks_exact(3)
+                    .map(|t| [t[0] as u32, t[1] as u32, t[2] as u32])
+                    .collect(),
+            })
+        };
+        let count = vertex_ends.len().min(triangle_ends.len()).saturating_sub(1);
+        let pieces: Option<Vec<OwnPiece>> = (0..count).map(piece).collect();
+        pieces.ok_or_else(|| wrong("the arrays of these changes do not fit together"))
+    }
+
     pub(crate) fn of(py: Python<'_>, pieces: Pieces) -> PyResult<Self> {
         Ok(Self {
             blocks: pieces.blocks.into_rows(py)?.unbind(),

@@ -243,6 +243,63 @@ class Changes:
     def __len__(self) -> int: ...
     def __iter__(self) -> Iterator[tuple[tuple[int, int, int], Mesh]]: ...
 
+class Esdf:
+    """Euclidean distances to the nearest surface, up to a radius. They follow a map that changes; they are not signed.
+
+    :param voxel_size: edge of a voxel, metres.
+    :param radius: the largest distance that is known, metres; at most 45 voxels.
+    """
+
+    def __new__(cls, voxel_size: float = 0.2, radius: float = 2.0) -> Esdf: ...
+    def update(self, surface: Changes | Map) -> int:
+        """Takes in what changed of a surface, or the whole surface of a map. Returns how many chunks of 32³ voxels were computed anew."""
+    def distance(self, points: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+        """Distances (N,), metres, their gradients (N, 3), and where they are known; elsewhere they are NaN."""
+    def voxels(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """All voxels within the radius of surface (N, 3), and the distances of their centres, metres. Voxel v has its centre at
+        (v + ½) · voxel_size."""
+
+class Occupancy:
+    """What rays have passed through and where they ended: free, occupied, unknown.
+
+    :param voxel_size: edge of a voxel, metres.
+    :param max_range: rays are followed up to this range, metres.
+    """
+
+    def __new__(cls, voxel_size: float = 0.2, max_range: float = 60.0) -> Occupancy: ...
+    def fuse(self, scan: Scan) -> None:
+        """Takes in the rays of a scan, which has a pose."""
+    def at(self, points: ArrayLike) -> NDArray[np.uint8]:
+        """What is known at points (N, 3), world: 0 nothing, 1 free, 2 occupied."""
+    def voxels(self) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """All voxels that are known (N, 3), and whether they are occupied."""
+
+class Moving:
+    """Tells scan by scan which returns move: those in space that was known to be free.
+
+    :param voxel_size: edge of a voxel, metres.
+    :param max_range: returns beyond this range are not looked at, metres.
+    """
+
+    def __new__(cls, voxel_size: float = 0.25, max_range: float = 80.0) -> Moving: ...
+    def classify(self, scan: Scan) -> NDArray[np.bool_]:
+        """Whether each return of the next scan moves. It has a pose."""
+
+def ground(
+    map: Map,
+    low: tuple[float, float],
+    high: tuple[float, float],
+    cell: float = 0.2,
+    *,
+    radius: float = 0.5,
+    clearance: float = 2.0,
+    max_slope: float = 25.0,
+    max_step: float = 0.2,
+    max_roughness: float = 0.1,
+) -> dict[str, NDArray[np.float32]]:
+    """Which ground can be driven on within a rectangle (world x, y, metres): ``elevation``, ``slope`` (radians), ``step``, ``roughness``
+    (metres) and ``traversability`` (0 to 1), each (rows, columns) from the highest y on; NaN where nothing is known."""
+
 class Map:
     """A truncated signed distance field in memory: fuse scans into it, ask it, mesh it, change it, save it.
 

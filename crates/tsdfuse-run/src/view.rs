@@ -95,10 +95,9 @@ impl Picture<'_> {
             }
             Self::Intensity(layer) => {
                 let white = layer.white();
-                view.lit(camera, pose, |i, hit| {
-                    layer
-                        .at(place(i, hit))
-                        .map_or(UNKNOWN, |value| shown(intensity::grey(value, white)) * 1.15)
+                let values = between_rings(view, |pixel, hit| layer.at(place(pixel, hit)));
+                view.lit(camera, pose, |i, _| {
+                    values[i].map_or(UNKNOWN, |value| shown(intensity::grey(value, white)) * 1.15)
                 })
             }
             Self::Color(colors) => view.lit(camera, pose, |i, hit| {
@@ -106,6 +105,39 @@ impl Picture<'_> {
             }),
         }
     }
+}
+
+/// Pixels to which a known one gives its value, at most.
+const FILL_PIXELS: usize = 24;
+/// Neighbours whose ranges differ by more than this share are of other surface.
+const SAME_SURFACE: f32 = 0.03;
+
+/// The value of each pixel that sees surface; where none was measured there, the mean of those around it.
+fn between_rings(view: &View, value: impl Fn(usize, &Hit) -> Option<f32>) -> Vec<Option<f32>> {
+    let known = |(i, hit): (usize, &Option<Hit>)| value(i, hit.as_ref()?);
+    let mut values: Vec<Option<f32>> = view.hits.iter().enumerate().map(known).collect();
+    let width = view.width;
+    for _ in 0..FILL_PIXELS {
+        let before = values.clone();
+        for (i, value) in values.iter_mut().enumerate().filter(|(_, value)| value.is_none()) {
+            let Some(here) = &view.hits[i] else { continue };
+            let column = i % width;
+            let around = [
+                (column > 0).then(|| i - 1),
+                (column + 1 < width).then_some(i + 1),
+                i.checked_sub(width),
+                Some(i + width).filter(|below| *below < view.hits.len()),
+            ];
+            let near = around.into_iter().flatten().filter_map(|j| {
+                let there = view.hits[j].as_ref()?;
+                let is_same = (there.range_m - here.range_m).abs() < SAME_SURFACE * here.range_m;
+                before[j].filter(|_| is_same)
+            });
+            let (sum, count) = near.fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
+            *value = (count > 0.0).then(|| sum / count);
+        }
+    }
+    values
 }
 
 /// Looks once, and writes pictures of what is seen.

@@ -1,0 +1,62 @@
+"""What planners ask: distances, free space, moving returns, the ground."""
+
+import numpy as np
+import pytest
+
+import tsdfuse
+
+
+def wall(x: float = 3.0, extra: np.ndarray | None = None) -> tsdfuse.Scan:
+    """A wall across the x axis, and a floor before it."""
+    y, z = np.meshgrid(np.arange(-3, 3, 0.03), np.arange(-1, 2, 0.03))
+    points = np.stack([np.full(y.size, x), y.ravel(), z.ravel()], axis=1)
+    u, v = np.meshgrid(np.arange(0.5, 3, 0.03), np.arange(-3, 3, 0.03))
+    floor = np.stack([u.ravel(), v.ravel(), np.full(u.size, -1.0)], axis=1)
+    parts = [points, floor] + ([] if extra is None else [extra])
+    return tsdfuse.Scan(np.concatenate(parts), pose=np.eye(4))
+
+
+def test_distances_follow_a_map() -> None:
+    m = tsdfuse.Map(voxel_size=0.05, method="raycast")
+    esdf = tsdfuse.Esdf(voxel_size=0.1, radius=1.0)
+    m.fuse(wall())
+    assert esdf.update(m.changes()) > 0
+    distances, gradients, known = esdf.distance([[2.5, 0, 0.5], [-3, 0, 0]])
+    assert known.tolist() == [True, False]
+    assert abs(distances[0] - 0.5) < 0.05 and np.isnan(distances[1])
+    assert gradients[0, 0] < -0.9
+    whole = tsdfuse.Esdf(voxel_size=0.1, radius=1.0)
+    whole.update(m)
+    for a, b in zip(esdf.voxels(), whole.voxels(), strict=True):
+        assert np.array_equal(a, b)
+    with pytest.raises(tsdfuse.ConfigError):
+        tsdfuse.Esdf(voxel_size=0)
+
+
+def test_free_space_is_known() -> None:
+    occupancy = tsdfuse.Occupancy(voxel_size=0.2)
+    occupancy.fuse(wall())
+    assert occupancy.at([[1.5, 0.1, 0.1], [3.05, 0.1, 0.5], [9, 0, 0]]).tolist() == [1, 2, 0]
+    voxels, occupied = occupancy.voxels()
+    assert len(voxels) == len(occupied) and 0 < occupied.sum() < len(occupied)
+
+
+def test_what_comes_into_free_space_moves() -> None:
+    moving = tsdfuse.Moving()
+    for _ in range(10):
+        assert not moving.classify(wall()).any()
+    y, z = np.meshgrid(np.arange(-0.4, 0.4, 0.03), np.arange(-0.4, 0.4, 0.03))
+    thing = np.stack([np.full(y.size, 1.8), y.ravel(), z.ravel()], axis=1)
+    found = moving.classify(wall(extra=thing))
+    assert found[-len(thing) :].all() and not found[: -len(thing)].any()
+
+
+def test_the_ground_is_flat_and_the_wall_is_not() -> None:
+    m = tsdfuse.Map(voxel_size=0.05, method="raycast")
+    m.fuse(wall())
+    layers = tsdfuse.ground(m, (0.5, -2.0), (3.5, 2.0))
+    assert set(layers) == {"elevation", "slope", "step", "roughness", "traversability"}
+    elevation, traversability = layers["elevation"], layers["traversability"]
+    assert elevation.shape == (20, 15)
+    assert abs(elevation[10, 5] + 1) < 0.03 and traversability[10, 5] > 0.8
+    assert traversability[10, 11] == 0
