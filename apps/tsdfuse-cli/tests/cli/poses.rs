@@ -125,3 +125,66 @@ fn maps_and_stores_know_where_their_scans_were() {
     let off = found["absolute_m"]["median"].as_f64().unwrap();
     assert!((off - 10.0).abs() < 1e-9, "{off}");
 }
+
+#[test]
+fn rough_poses_and_a_sensor_that_is_off_are_mended_and_foretell_more() {
+    let folder = Folder::new();
+    let set = folder.simulate("street", "street", "vlp16", 24, &["--path", "vehicle"]);
+    let rough = |(i, line): (usize, &str)| {
+        let shift = |k: usize| 0.06 * (((3 * i + k) as f64 * 0.754_877_666).fract() - 0.5);
+        let numbers = line.split_whitespace().map(|n| n.parse::<f64>().unwrap());
+        let moved = numbers
+            .enumerate()
+            .map(|(k, n)| if k % 4 == 3 { n + shift(k / 4) } else { n }.to_string());
+        moved.collect::<Vec<_>>().join(" ") + "\n"
+    };
+    let poses = folder.path("street/poses.txt");
+    let text = fs::read_to_string(&poses).unwrap();
+    fs::write(&poses, text.lines().enumerate().map(rough).collect::<String>()).unwrap();
+    let sensor = folder.path("street/sensor.toml");
+    let text = fs::read_to_string(&sensor).unwrap();
+    fs::write(&sensor, text + "elevation_correction_deg = 0.4\n").unwrap();
+
+    let out = folder.text("out");
+    let arguments = [
+        "evaluate",
+        &set,
+        "--methods",
+        "raycast",
+        "--poses",
+        "given,refine,track",
+        "-o",
+        &out,
+    ];
+    let more = ["--json", "--samples", "5000", "--hold-out", "6"];
+    let results = tsdfuse(&[&arguments[..], &more].concat()).succeeded().json();
+    let rows = results["methods"].as_array().unwrap();
+    let names: Vec<_> = rows.iter().map(|row| row["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["raycast", "raycast (refine)", "raycast (track)"]);
+    let error_m = |row: usize| rows[row]["held_out"]["error"]["mean_m"].as_f64().unwrap();
+    assert!(error_m(1) < 0.9 * error_m(0), "{} {}", error_m(1), error_m(0));
+
+    let [mesh, file] = ["street.ply", "found.toml"].map(|name| folder.text(name));
+    let arguments = [
+        "fuse",
+        &set,
+        "--method",
+        "raycast",
+        "--poses",
+        "refine",
+        "-o",
+        &mesh,
+        "--save-sensor",
+        &file,
+    ];
+    let run = tsdfuse(&arguments).succeeded();
+    let told = run.stderr;
+    assert!(
+        told.contains("the sensor is off: elevations are corrected by -0."),
+        "{told}"
+    );
+    let info = tsdfuse(&["info", &set, "--sensor", &file, "--json"]).succeeded().json();
+    let left = info["elevation_correction_deg"].as_f64().unwrap();
+    assert!(left.abs() < 0.15, "{left}");
+    assert_eq!(info["sensor"]["name"], "vlp16");
+}
