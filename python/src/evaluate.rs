@@ -147,6 +147,7 @@ pub(crate) fn evaluate<'py>(
         forms,
         hold_out: asked.hold_out,
         margin_m: asked.margin_m,
+        pose_noise: None,
     };
     if let Some(budget_secs) = asked.tune {
         let tuning = Tuning { contest, budget_secs };

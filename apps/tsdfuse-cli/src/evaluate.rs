@@ -7,7 +7,7 @@ use clap::builder::PossibleValuesParser;
 use tsdfuse::MapConfig;
 use tsdfuse::glam::DVec3;
 use tsdfuse_eval::Protocol;
-use tsdfuse_evaluate::{Comparing, Contest, Evaluated, Evaluation, Form, ScanPoses, Tuning, tables};
+use tsdfuse_evaluate::{Comparing, Contest, Evaluated, Evaluation, Form, PoseNoise, ScanPoses, Tuning, tables};
 use tsdfuse_io::DEPTH_CAMERA_TRUNCATION_M;
 
 use crate::args::{LogArgs, parse_triple};
@@ -28,6 +28,7 @@ Examples:
   tsdfuse evaluate street --methods raycast,raycast-projective --runs 5 -o street-methods
   tsdfuse evaluate kitti/sequences/00 --scans 0..200 --method-set raycast:map.voxel_size_m=0.1,map.truncation_m=0.3
   tsdfuse evaluate kitti/sequences/00 --methods patch,raycast --poses given,refine,track
+  tsdfuse evaluate kitti/sequences/00 --methods patch,raycast --pose-noise 0.03,0.15
   tsdfuse evaluate kitti/sequences/00 --tune --budget 600";
 
 /// Compare methods on a log: error, completeness, held-out scans, speed and memory, as tables and an illustrated report.
@@ -53,6 +54,10 @@ pub(crate) struct Args {
         "Largest distance between a held-out return and its surface, metres [default: {}, or {DEPTH_CAMERA_TRUNCATION_M} for depth cameras]",
         MapConfig::default().truncation_m))]
     margin: Option<f64>,
+    /// Add normally distributed errors to the poses of the scans that are fused: standard deviations in metres and degrees, about each
+    /// axis. Held-out scans keep theirs.
+    #[arg(long, value_name = "M,DEG", conflicts_with = "tune")]
+    pose_noise: Option<String>,
     /// What meshes are compared with: a mesh or a cloud (.ply), or a log for the points of its scans.
     #[arg(long, value_name = "FILE")]
     reference: Option<PathBuf>,
@@ -197,6 +202,7 @@ impl Args {
             forms,
             hold_out: self.hold_out.map(|every| every as usize),
             margin_m: self.margin,
+            pose_noise: self.pose_noise.as_deref().map(PoseNoise::parse).transpose().map_err(told)?,
         })
     }
 

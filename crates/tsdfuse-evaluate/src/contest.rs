@@ -7,6 +7,7 @@ use tsdfuse_run::{Input, Settings};
 
 use crate::error::{Error, Result};
 use crate::form::Form;
+use crate::pose_noise::PoseNoise;
 
 /// Methods, the data they are run on, and which scans are held out from their maps.
 #[derive(Clone, Debug)]
@@ -21,6 +22,8 @@ pub struct Contest {
     pub hold_out: Option<usize>,
     /// Largest distance between a held-out return and its surface, metres. `None`: the default truncation for the log.
     pub margin_m: Option<f64>,
+    /// What is added to the poses that scans are fused with; held-out scans and references keep theirs.
+    pub pose_noise: Option<PoseNoise>,
 }
 
 impl Contest {
@@ -35,6 +38,7 @@ impl Contest {
             forms: Form::all(),
             hold_out: None,
             margin_m: None,
+            pose_noise: None,
         }
     }
 

@@ -71,6 +71,12 @@ fn summary(results: &Results) -> String {
         results.machine.threads,
         results.machine.date,
     );
+    if let Some(noise) = data.pose_noise {
+        html += &format!(
+            "<p>Scans were fused with errors added to their poses: standard deviations of {} m and {}°.</p>\n",
+            noise.position_m, noise.turn_deg
+        );
+    }
     let warnings = results
         .methods
         .iter()

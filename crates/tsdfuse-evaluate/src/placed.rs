@@ -9,13 +9,16 @@ use tsdfuse_run::{Event, Input, Stop, Track, common_shift, refine, track, write_
 
 use crate::contest::Contest;
 use crate::error::{Error, Result};
+use crate::pose_noise::PoseNoise;
 use crate::progress::{Progress, Runs, Watch};
 use crate::scan_poses::ScanPoses;
 
 /// A log with poses of one kind.
 pub(crate) struct PlacedLog {
     pub(crate) poses: ScanPoses,
+    /// What is fused, with noise if that is asked for.
     pub(crate) input: Input,
+    /// Without noise.
     pub(crate) log: Log,
 }
 
@@ -31,11 +34,43 @@ pub(crate) fn logs(contest: &Contest, folder: &Path, watch: &mut Watch<'_>) -> R
                 ),
                 ScanPoses::Refine | ScanPoses::Track => found(kind, contest, folder, watch)?,
             };
+            let input = match contest.pose_noise {
+                Some(noise) => noisy(noise, kind, input, &log, contest, folder)?,
+                None => input,
+            };
             let poses = kind;
             all.push(PlacedLog { poses, input, log });
         }
     }
     Ok(all)
+}
+
+/// What is fused with noise added to the poses of a log.
+fn noisy(
+    noise: PoseNoise,
+    kind: ScanPoses,
+    mut input: Input,
+    log: &Log,
+    contest: &Contest,
+    folder: &Path,
+) -> Result<Input> {
+    if log.sensors().len() != 1 {
+        return Err(Error::config("--pose-noise needs one sensor: choose it with --sensor"));
+    }
+    let poses = log.scans().iter().enumerate().map(|(index, scan)| {
+        let pose = scan.pose.ok_or_else(|| {
+            Error::config(format_args!("--pose-noise needs poses of all scans, and {} has none", scan.name))
+        })?;
+        Ok(FusedPose {
+            pose: noise.add(index, pose),
+            time_ns: scan.time_ns,
+        })
+    });
+    let path = folder.join(format!("{}-noisy.poses", kind.name()));
+    write_poses(&path, &poses.collect::<Result<Vec<_>>>()?)?;
+    input.options.poses = Some(path);
+    input.open(&contest.settings, &mut |_: Event<'_>| {})?;
+    Ok(input)
 }
 
 /// The log with refined or tracked poses, those of scans that are held out included.

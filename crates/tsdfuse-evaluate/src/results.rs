@@ -8,6 +8,7 @@ use tsdfuse_run::report::{ScanReport, SkippedScan};
 use tsdfuse_run::{Machine, Report, RunConfig};
 
 use crate::form::Form;
+use crate::pose_noise::PoseNoise;
 use crate::truth::Truth;
 
 /// Methods side by side.
@@ -42,6 +43,9 @@ pub struct Data {
     pub hold_out: Option<usize>,
     /// How many that are.
     pub held_out_scans: usize,
+    /// What was added to the poses of the fused scans.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pose_noise: Option<PoseNoise>,
 }
 
 /// A method that could not be used.

@@ -169,6 +169,7 @@ impl<'a> Workplace<'a> {
                 scans: self.indices.len(),
                 hold_out: self.selection.hold_out,
                 held_out_scans: self.held_out.indices.len(),
+                pose_noise: self.asked.contest.pose_noise,
             },
             reference: self.truth,
             methods,

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use tempfile::TempDir;
-use tsdfuse_evaluate::{Comparing, Contest, Error, Evaluation, Form, Progress, Tuning, in_this_process, tables};
+use tsdfuse_evaluate::{Comparing, Contest, Error, Evaluation, Form, PoseNoise, Progress, Tuning, in_this_process, tables};
 use tsdfuse_io::plain::Writer;
 use tsdfuse_run::Job;
 use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
@@ -152,4 +152,26 @@ fn a_search_skips_bad_scans_as_all_runs_do() {
         "{:?}",
         found.skipped_scans
     );
+}
+
+#[test]
+fn noise_is_added_to_the_poses_that_are_fused_and_to_no_others() {
+    let log = sphere();
+    let with = |noise: &str| {
+        let mut evaluation = evaluation(log.path(), &["raycast"]);
+        evaluation.runs = 1;
+        evaluation.contest.pose_noise = Some(PoseNoise::parse(noise).unwrap());
+        let found = evaluation.run(&mut in_this_process(), &mut |_| {}).unwrap();
+        let figures = serde_json::to_value(&found.results).unwrap();
+        let row = &found.results.methods[0];
+        let error_m = row.surface.all.mesh_to_reference.stats.mean_m;
+        (error_m, row.held_out.as_ref().unwrap().capped_error_m, figures)
+    };
+    let (exact, exact_held_out, _) = with("0,0");
+    let (noisy, noisy_held_out, figures) = with("0.05,0.5");
+    assert!(noisy > 2.0 * exact, "{noisy} {exact}");
+    assert!(noisy_held_out > exact_held_out, "{noisy_held_out} {exact_held_out}");
+    assert_eq!(figures["dataset"]["pose_noise"]["position_m"], 0.05);
+    // The same noise again.
+    assert_eq!(with("0.05,0.5").0, noisy);
 }

@@ -17,10 +17,13 @@ pub(crate) static CONSTANTS: LazyLock<String> = LazyLock::new(|| {
     let [least, most] = twin::NOISE_M;
     let [turns, turns_updated] = twin::TURNS;
     let lengths = named!(MIN_RETURNS MAX_RESIDUAL MAX_OFF ROUGHNESS_M MIN_SPREAD MIN_COSINE MIN_TELLING FACING MIN_DOT
-        MAX_OFF_BETWEEN FRONT BEHIND FULL_BEHIND RAY_WEIGHT FAR_M MAX_GAP_OF_RANGE INSIDE BESIDE MARGIN BINS_PER_RAD SAME_FIRING);
-    let counts = named!(MAX_RINGS MAX_COLUMNS SAMPLE MIN_PASSED PHASE_BINS).map(|(name, count)| (name, count as u32));
+        MAX_OFF_BETWEEN FRONT BEHIND FULL_BEHIND RAY_WEIGHT FAR_M MAX_GAP_OF_RANGE INSIDE BESIDE MARGIN BINS_PER_RAD SAME_FIRING
+        OF_MEDIAN BLUR SIGMAS HALVING SIGMAS_OF_RAYS);
+    let counts = named!(MAX_RINGS MAX_COLUMNS SAMPLE MIN_PASSED PHASE_BINS LOOK ARMS BINS_PER_VOXEL)
+        .map(|(name, count)| (name, count as u32));
     let others = [
         ("FORGOTTEN", twin::FORGOTTEN),
+        ("LEAST_OFFSETS", twin::LEAST_OFFSETS),
         ("TURNS", turns),
         ("TURNS_UPDATED", turns_updated),
     ];

@@ -92,7 +92,7 @@ macro_rules! layout {
 fn frame_layout() -> Vec<(String, usize)> {
     layout!(Frame: world_x mode world_y first world_z count anchor_voxel stamp anchor_fraction voxels_per_m
         truncation_vox max_weight_sum heavy_sum times_at segments_at segments rings_at rings columns max_range_m min_dot
-        total window_m noise_m step_m max_gap_m column_rad columns_per_rad gaps_at nearest_at towards_at top per_pitch pad camera)
+        total window_m noise_m step_m max_gap_m column_rad columns_per_rad gaps_at nearest_at towards_at top per_pitch crowd camera)
 }
 
 #[test]
@@ -255,6 +255,7 @@ fn what_is_tuned_on_the_cpu_is_tuned_here() {
         ("MAX_OFF_BETWEEN", twin::MAX_OFF_BETWEEN),
         ("MOST_NOISE_M", twin::NOISE_M[1]),
         ("TURNS_UPDATED", twin::TURNS[1] as f32),
+        ("LOOK", twin::LOOK as f32),
         ("MAX_COLUMNS", twin::MAX_COLUMNS as f32),
     ] {
         assert_eq!(constant(source, name) as f32, value, "{name}");

@@ -41,7 +41,7 @@ pub(crate) struct Frame {
     pub(crate) towards_at: u32,
     pub(crate) top: f32,
     pub(crate) per_pitch: f32,
-    pub(crate) pad: f32,
+    pub(crate) crowd: f32,
     pub(crate) camera: [f32; 4],
 }
 

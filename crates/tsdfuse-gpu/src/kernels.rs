@@ -3,8 +3,8 @@
 use crate::constants::CONSTANTS;
 use crate::frame::Frame;
 use crate::shader::{
-    ANGLES, CARVE, CYLINDER, CYLINDRICAL, DEPTH, EUCLIDEAN, FRAME, IMAGE, LINES, NORMALS, ONE_LINE, PATCH, PHASES,
-    PIXELS, PLANES,
+    AGREEMENT, ANGLES, CARVE, CYLINDER, CYLINDRICAL, DEPTH, EUCLIDEAN, FRAME, IMAGE, LINES, NORMALS, ONE_LINE, PATCH,
+    PHASES, PIXELS, PLANES,
 };
 
 /// A kernel, and how many of its workgroups run.
@@ -133,11 +133,20 @@ impl Kernels {
         if estimates_noise {
             before.extend([step("sample_noise", Work::Scan), step("choose_noise", Work::Once)]);
         }
-        before.push(step("find_planes", Work::Cells));
+        before.extend([
+            step("find_planes", Work::Cells),
+            step("sample_offsets", Work::Scan),
+            step("choose_agreement", Work::Once),
+        ]);
         Self {
             before,
             after: carves.then(|| step("carve", Work::Blocks)).into_iter().collect(),
-            ..Self::lines(3, &[&CONSTANTS, ANGLES, PHASES, IMAGE, PLANES, CYLINDER, PATCH, CARVE])
+            ..Self::lines(
+                3,
+                &[
+                    &CONSTANTS, ANGLES, PHASES, IMAGE, PLANES, AGREEMENT, CYLINDER, PATCH, CARVE,
+                ],
+            )
         }
     }
 }

@@ -46,6 +46,8 @@ pub(crate) struct Surface<'a> {
     pub(crate) gaps: &'a [f32],
     /// The nearest ring for each bin of elevation.
     pub(crate) nearest: &'a [u32],
+    /// How many patches meet in a voxel of 1 m that faces the sensor 1 m away.
+    pub(crate) crowd: f32,
 }
 
 /// The cylindrical image of a sensor, for a phase of 0.
@@ -202,6 +204,7 @@ impl Prepared<'_> {
             } = surface.config;
             (frame.window_m, frame.noise_m, frame.max_gap_m) = (window_m, noise_m, max_gap_m);
             frame.step_m = twin::STEP / frame.voxels_per_m;
+            frame.crowd = surface.crowd / (frame.voxels_per_m * frame.voxels_per_m);
         }
         if let Some(camera) = self.camera {
             frame.camera = [camera.fx, camera.fy, camera.cx, camera.cy];
@@ -248,7 +251,10 @@ impl Prepared<'_> {
             RING_BYTES * rings,
         ];
         if self.surface.is_some() {
-            bytes.extend([PATCH_BYTES * cells, 4 * (1 + returns.div_ceil(twin::SAMPLE as u64))]);
+            bytes.extend([
+                PATCH_BYTES * cells,
+                4 * (1 + twin::ARMS as u64 + returns.div_ceil(twin::SAMPLE as u64)),
+            ]);
         }
         bytes
     }

@@ -99,7 +99,8 @@ fn ray_past(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> vec3<f32> {
         let above = select(size - along, dot(p - end, patches[number].normal), is_plane(patches[number]));
         // The length of one vector: a difference of squares would cancel.
         let beside = p - end * (along / size);
-        let margin_m = MARGIN * voxel_size_m;
+        let arm = select(size, arm_m(patches[number]), is_plane(patches[number]));
+        let margin_m = (MARGIN + SIGMAS_OF_RAYS * sigma_vox(arm)) * voxel_size_m;
         let radius_m = BESIDE * voxel_size_m;
         if along > 0.0 && size - along > margin_m && above > margin_m && dot(beside, beside) < radius_m * radius_m {
             return end;

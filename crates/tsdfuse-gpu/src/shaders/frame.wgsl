@@ -50,7 +50,8 @@ struct Frame {
     towards_at: u32,
     top: f32,
     per_pitch: f32,
-    pad: f32,
+    // For surface patches: how many of them meet in a voxel that faces the sensor 1 m away.
+    crowd: f32,
     // A camera's focal lengths, and its principal point, pixels.
     camera: vec4<f32>,
 }

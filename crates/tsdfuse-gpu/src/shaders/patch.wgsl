@@ -33,9 +33,14 @@ fn fuse_patch(surface: Patch) -> u32 {
     }
     let range_m = max(length(surface.center), 1e-30);
     let cosine = max(-dot(surface.center, surface.normal) / range_m, 0.0);
-    let share = select(RAY_WEIGHT, 1.0, is_plane(surface));
-    var l = line(center, surface.normal, share * cosine * min(1.0 / range_m, 1.0));
-    l.reach = front();
+    let known = select(RAY_WEIGHT, 1.0, is_plane(surface));
+    let sigma = sigma_vox(arm_m(surface));
+    // Those of one scan that meet in one voxel are off together.
+    let crowd = max(frame.crowd * cosine / (range_m * range_m), 1.0);
+    let off = sigma * (1.0 / HALVING);
+    let share = 1.0 / (1.0 + crowd * off * off);
+    var l = line(center, surface.normal, share * known * cosine * min(1.0 / range_m, 1.0));
+    l.reach = clamp(SIGMAS * sigma, front(), frame.truncation_vox);
     walk(l);
     return FUSED;
 }

@@ -21,9 +21,11 @@ const HALF: u32 = 2u;
 const WHOLE: u32 = 3u;
 
 @group(1) @binding(6) var<storage, read_write> patches: array<Patch>;
-// The standard deviation of ranges, then the squared noise that each sampled window shows; infinite where a window shows none.
+// The standard deviation of ranges; those of offsets from the map, by arms (agreement.wgsl); then, for each sampled return, the squared
+// noise that its window shows (infinite where it shows none), and later where its offset counts.
 @group(1) @binding(7) var<storage, read_write> noise: array<u32>;
 
+const SAMPLES_AT: u32 = ARMS + 1u;
 const INFINITE: u32 = 0x7f800000u;
 
 fn is_plane(surface: Patch) -> bool {
@@ -162,7 +164,7 @@ fn judge(plane: Plane, kind: u32, point: vec3<f32>, ray: vec3<f32>) -> Found {
 @compute @workgroup_size(64)
 fn sample_noise(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var n = id.x; n * SAMPLE < frame.total; n += 64u * groups.x) {
-        noise[n + 1u] = INFINITE;
+        noise[n + SAMPLES_AT] = INFINITE;
         let i = cell_of(n * SAMPLE);
         if i == NONE || !is_there(cells[i]) {
             continue;
@@ -173,7 +175,7 @@ fn sample_noise(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
         let plane = plane_of(window_about(i, range_m), point);
         let cosine = dot(ray, plane.normal) / max(range_m, 1e-30);
         if plane.count >= MIN_TELLING && abs(cosine) >= FACING {
-            noise[n + 1u] = bitcast<u32>(abs(plane.residual2 / (cosine * cosine)));
+            noise[n + SAMPLES_AT] = bitcast<u32>(abs(plane.residual2 / (cosine * cosine)));
         }
     }
 }
@@ -189,7 +191,7 @@ var<workgroup> below: u32;
 fn choose_noise(@builtin(local_invocation_index) lane: u32) {
     let count = (frame.total + SAMPLE - 1u) / SAMPLE;
     for (var n = lane; n < count; n += 256u) {
-        atomicAdd(&histogram[0], select(0u, 1u, noise[n + 1u] < INFINITE));
+        atomicAdd(&histogram[0], select(0u, 1u, noise[n + SAMPLES_AT] < INFINITE));
     }
     workgroupBarrier();
     let telling = atomicLoad(&histogram[0]);
@@ -202,7 +204,7 @@ fn choose_noise(@builtin(local_invocation_index) lane: u32) {
         atomicStore(&histogram[lane], 0u);
         workgroupBarrier();
         for (var n = lane; n < count; n += 256u) {
-            let bits = noise[n + 1u];
+            let bits = noise[n + SAMPLES_AT];
             // Avoids a shift by 32 bits.
             if bits < INFINITE && (bits >> shift) >> 8u == (known >> shift) >> 8u {
                 atomicAdd(&histogram[bits >> shift & 255u], 1u);

@@ -14,6 +14,7 @@ use glam::{IVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::{
+    agreement::{Agreement, SIGMAS_OF_RAYS},
     centers::{BLOCK_RADIUS, Centers, Row},
     gather::ROW,
     placed::Placed,
@@ -60,6 +61,8 @@ pub(super) struct Seen<'a> {
     centers: Centers,
     /// If the sensor moved: in its axes when each column was measured; `None` for columns without returns.
     columns: Vec<Option<Centers>>,
+    /// How far it can be off.
+    agreement: Agreement,
 }
 
 impl<'a> Seen<'a> {
@@ -69,6 +72,7 @@ impl<'a> Seen<'a> {
         placed: &'a Placed,
         patches: &'a [Patch],
         centers: Centers,
+        agreement: Agreement,
     ) -> Self {
         let mut columns = Vec::new();
         if let (Some(sweep), Some(times)) = (scan.sweep(), &scan.times) {
@@ -90,6 +94,7 @@ impl<'a> Seen<'a> {
             patches,
             centers,
             columns,
+            agreement,
         }
     }
 
@@ -289,7 +294,7 @@ fn gradient_at(block: &Block, at: IVec3) -> Vec3 {
 fn ray_past(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> Option<Vec3> {
     let columns = seen.image.columns();
     let voxel_m = seen.centers.voxel_size_m;
-    let (margin, radius) = (MARGIN * voxel_m, BESIDE * voxel_m);
+    let radius = BESIDE * voxel_m;
     for column in [column, column + 1] {
         let Some(i) = seen.image.get(ring, column % columns) else {
             continue;
@@ -304,6 +309,8 @@ fn ray_past(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> Option<
         } else {
             length - along
         };
+        let arm_m = if patch.is_plane() { patch.arm_m() } else { length };
+        let margin = (MARGIN + SIGMAS_OF_RAYS * seen.agreement.sigma_vox(arm_m)) * voxel_m;
         let beside2 = (place - end * (along / length)).length_squared();
         if along > 0.0 && length - along > margin && above > margin && beside2 < radius * radius {
             return Some(end);

@@ -11,6 +11,7 @@
 //! returns, and [`Lines`] with a [`Rule`], or [`Gather`], for the updates. Where speed does not matter,
 //! [`VoxelMap::update`](crate::VoxelMap::update) takes voxels one by one. `examples/04_own_method.rs` is a complete method.
 
+mod agreement;
 mod beams;
 mod caminal;
 mod carve;

@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     FuseError, Integration, Integrator,
+    agreement::{Agreement, CROWD, SIGMAS, share},
     beams::Beams,
     carve::{Carver, Seen},
     centers::Centers,
@@ -112,6 +113,7 @@ pub struct Patch {
     image: ScanImage,
     patches: Patches,
     order: Order,
+    places: Vec<Option<(u8, u8)>>,
     lines: Lines,
     carver: Carver,
 }
@@ -126,6 +128,22 @@ impl Patch {
             ..Self::default()
         }
     }
+
+    /// The patches of the last scan.
+    #[cfg(test)]
+    pub(super) fn planes(&self) -> &[crate::patch::Patch] {
+        &self.patches.all
+    }
+}
+
+/// How many planes of a scan meet in one voxel that faces the sensor 1 m away: far away fewer, by the square of the range.
+pub fn crowd(sensor: &SensorModel, voxel_size_m: f64) -> f32 {
+    let elevations = sensor.elevations_deg.iter();
+    let (least, most) = elevations.fold((f32::MAX, f32::MIN), |(a, b), &e| (a.min(e), b.max(e)));
+    let gaps = sensor.elevations_deg.len().saturating_sub(1).max(1);
+    let ring_rad = ((most - least) / gaps as f32).to_radians().max(1e-4);
+    let voxel_m = voxel_size_m as f32;
+    CROWD * voxel_m * voxel_m / (ring_rad * sensor.column_width_rad() as f32)
 }
 
 impl Integrator for Patch {
@@ -165,6 +183,8 @@ impl Integrator for Patch {
 
         let truncation = map.config().truncation_vox();
         let reach = FRONT.min(truncation);
+        let agreement = Agreement::of(map, anchor, &patches[..returns], &mut self.places);
+        let crowd = crowd(sensor, grid.voxel_size_m());
         let mut done = self.lines.run(
             map,
             &self.order.numbers,
@@ -183,12 +203,16 @@ impl Integrator for Patch {
                 }
                 let range_m = patch.center.length();
                 let cosine = (-patch.center.dot(patch.normal) / range_m).max(0.0);
-                let share = if patch.is_plane() { 1.0 } else { RAY_WEIGHT };
+                let known = if patch.is_plane() { 1.0 } else { RAY_WEIGHT };
+                let sigma = agreement.sigma_vox(patch.arm_m());
                 Ok(Line {
                     center: anchor.locate(patch.center).ok_or(Skip::OutsideGrid)?,
                     axis: patch.normal,
-                    reach,
-                    weight: share * cosine * (1.0 / range_m).min(1.0),
+                    reach: (SIGMAS * sigma).clamp(reach, truncation),
+                    weight: share(sigma, crowd * cosine / (range_m * range_m))
+                        * known
+                        * cosine
+                        * (1.0 / range_m).min(1.0),
                 })
             },
             &AlongPatch { truncation },
@@ -202,7 +226,7 @@ impl Integrator for Patch {
                 rotation: world_axes(scan)?.transpose(),
                 voxel_size_m: grid.voxel_size_m() as f32,
             };
-            let seen = Seen::new(scan, image, placed, patches, centers);
+            let seen = Seen::new(scan, image, placed, patches, centers, agreement);
             done.updated_blocks.extend(self.carver.carve(map, &seen, sensor));
         }
         Ok(Integration { prepare_secs, ..done })

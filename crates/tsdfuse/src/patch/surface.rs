@@ -29,6 +29,12 @@ impl Patch {
     pub(crate) fn is_plane(&self) -> bool {
         self.kind != Kind::Ray
     }
+
+    /// The arm of a turn of the sensor: how far the patch moves along its normal, at most, for each radian.
+    #[inline(always)]
+    pub(crate) fn arm_m(&self) -> f32 {
+        self.center.cross(self.normal).length()
+    }
 }
 
 /// What a plane must be like.
