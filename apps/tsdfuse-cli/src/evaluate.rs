@@ -54,8 +54,8 @@ pub(crate) struct Args {
         "Largest distance between a held-out return and its surface, metres [default: {}, or {DEPTH_CAMERA_TRUNCATION_M} for depth cameras]",
         MapConfig::default().truncation_m))]
     margin: Option<f64>,
-    /// Add normally distributed errors to the poses of the scans that are fused: standard deviations in metres and degrees, about each
-    /// axis. Held-out scans keep theirs.
+    /// Add normally distributed errors to the poses of fused scans, not to those of held-out ones: standard deviations along
+    /// and about each axis, metres and degrees
     #[arg(long, value_name = "M,DEG", conflicts_with = "tune")]
     pose_noise: Option<String>,
     /// What meshes are compared with: a mesh or a cloud (.ply), or a log for the points of its scans.
@@ -202,7 +202,12 @@ impl Args {
             forms,
             hold_out: self.hold_out.map(|every| every as usize),
             margin_m: self.margin,
-            pose_noise: self.pose_noise.as_deref().map(PoseNoise::parse).transpose().map_err(told)?,
+            pose_noise: self
+                .pose_noise
+                .as_deref()
+                .map(PoseNoise::parse)
+                .transpose()
+                .map_err(told)?,
         })
     }
 

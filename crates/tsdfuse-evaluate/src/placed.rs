@@ -59,7 +59,10 @@ fn noisy(
     }
     let poses = log.scans().iter().enumerate().map(|(index, scan)| {
         let pose = scan.pose.ok_or_else(|| {
-            Error::config(format_args!("--pose-noise needs poses of all scans, and {} has none", scan.name))
+            Error::config(format_args!(
+                "--pose-noise needs poses of all scans, and {} has none",
+                scan.name
+            ))
         })?;
         Ok(FusedPose {
             pose: noise.add(index, pose),

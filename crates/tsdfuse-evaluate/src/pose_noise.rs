@@ -21,7 +21,11 @@ impl PoseNoise {
     /// # Errors
     /// [`Error::Config`] if these are not two numbers from 0 on.
     pub fn parse(text: &str) -> Result<Self> {
-        let wrong = || Error::config(format_args!("--pose-noise {text}: expected metres and degrees, as in 0.03,0.15"));
+        let wrong = || {
+            Error::config(format_args!(
+                "--pose-noise {text}: expected metres and degrees, as in 0.03,0.15"
+            ))
+        };
         let number = |text: &str| text.trim().parse().ok().filter(|n: &f64| n.is_finite() && *n >= 0.0);
         let (m, deg) = text.split_once(',').ok_or_else(wrong)?;
         Ok(Self {
@@ -80,11 +84,17 @@ mod tests {
         let [mut moved, mut turned] = [0.0; 2];
         for pose in all {
             moved += pose.translation.distance_squared(from.translation) / 9000.0;
-            turned += (from.rotation.inverse() * pose.rotation).to_scaled_axis().length_squared() / 9000.0;
+            turned += (from.rotation.inverse() * pose.rotation)
+                .to_scaled_axis()
+                .length_squared()
+                / 9000.0;
         }
         assert!((moved.sqrt() / 0.03 - 1.0).abs() < 0.05, "{moved}");
         assert!((turned.sqrt().to_degrees() / 0.15 - 1.0).abs() < 0.05, "{turned}");
         assert_eq!(noise.add(7, from), noise.add(7, from));
-        assert_eq!(PoseNoise::parse("0,0").unwrap().add(7, from).translation, from.translation);
+        assert_eq!(
+            PoseNoise::parse("0,0").unwrap().add(7, from).translation,
+            from.translation
+        );
     }
 }

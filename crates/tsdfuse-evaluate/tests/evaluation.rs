@@ -7,7 +7,9 @@ use std::fs;
 use std::path::Path;
 
 use tempfile::TempDir;
-use tsdfuse_evaluate::{Comparing, Contest, Error, Evaluation, Form, PoseNoise, Progress, Tuning, in_this_process, tables};
+use tsdfuse_evaluate::{
+    Comparing, Contest, Error, Evaluation, Form, PoseNoise, Progress, Tuning, in_this_process, tables,
+};
 use tsdfuse_io::plain::Writer;
 use tsdfuse_run::Job;
 use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};

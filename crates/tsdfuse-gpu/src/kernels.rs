@@ -127,17 +127,16 @@ impl Kernels {
         }
     }
 
-    /// Surface patches, with or without estimating noise and erasing free space.
+    /// Surface patches, with or without estimating noise and looking at what the map holds.
     pub(crate) fn patch(estimates_noise: bool, carves: bool) -> Self {
         let mut before = image();
         if estimates_noise {
             before.extend([step("sample_noise", Work::Scan), step("choose_noise", Work::Once)]);
         }
-        before.extend([
-            step("find_planes", Work::Cells),
-            step("sample_offsets", Work::Scan),
-            step("choose_agreement", Work::Once),
-        ]);
+        before.push(step("find_planes", Work::Cells));
+        if carves {
+            before.extend([step("sample_offsets", Work::Scan), step("choose_agreement", Work::Once)]);
+        }
         Self {
             before,
             after: carves.then(|| step("carve", Work::Blocks)).into_iter().collect(),

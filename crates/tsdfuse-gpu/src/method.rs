@@ -146,7 +146,7 @@ impl Prepare {
                     config: *config,
                     gaps: &angles.gaps,
                     nearest: &angles.nearest,
-                    crowd: twin::crowd(&sensor, 1.0),
+                    crowd: if config.carve { twin::crowd(&sensor, 1.0) } else { 0.0 },
                 };
                 let weights = surface.weights(scan);
                 Ok(Prepared {

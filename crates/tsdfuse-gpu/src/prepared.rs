@@ -46,7 +46,7 @@ pub(crate) struct Surface<'a> {
     pub(crate) gaps: &'a [f32],
     /// The nearest ring for each bin of elevation.
     pub(crate) nearest: &'a [u32],
-    /// How many patches meet in a voxel of 1 m that faces the sensor 1 m away.
+    /// How many patches meet in a voxel of 1 m that faces the sensor 1 m away; 0 if the map is not looked at.
     pub(crate) crowd: f32,
 }
 

@@ -11,8 +11,11 @@ fn place_of_arm(arm: f32) -> f32 {
     return clamp(log2, 0.0, f32(ARMS) - 0.5);
 }
 
-// The standard deviation of planes with some arm from the surface of the map, in voxels.
+// The standard deviation of planes with some arm from the surface of the map, in voxels; 0 if the map is not looked at.
 fn sigma_vox(arm: f32) -> f32 {
+    if frame.crowd == 0.0 {
+        return 0.0;
+    }
     let place = clamp(place_of_arm(arm) - 0.5, 0.0, f32(ARMS - 1u));
     let low = u32(place);
     let a = bitcast<f32>(noise[1u + low]);

@@ -50,7 +50,7 @@ struct Frame {
     towards_at: u32,
     top: f32,
     per_pitch: f32,
-    // For surface patches: how many of them meet in a voxel that faces the sensor 1 m away.
+    // For surface patches: how many of them meet in a voxel that faces the sensor 1 m away; 0 if the map is not looked at.
     crowd: f32,
     // A camera's focal lengths, and its principal point, pixels.
     camera: vec4<f32>,

@@ -66,7 +66,7 @@ pub struct PatchConfig {
     /// Surface is closed between neighbouring returns no farther apart than this, metres, up to 25 m away; farther away, in proportion
     /// to the range. On planes it is what the sensor sees of the gap, so that a road closes between rings metres apart. 0: nowhere.
     pub max_gap_m: f32,
-    /// Whether free space erases what is not there any more.
+    /// Whether scans look at what the map holds: how well they agree with it, and what free space erases.
     pub carve: bool,
 }
 
@@ -183,7 +183,12 @@ impl Integrator for Patch {
 
         let truncation = map.config().truncation_vox();
         let reach = FRONT.min(truncation);
-        let agreement = Agreement::of(map, anchor, &patches[..returns], &mut self.places);
+        // Without erasing, nothing depends on what the map holds, and maps of parts of a log can be added.
+        let agreement = if self.config.carve {
+            Agreement::of(map, anchor, &patches[..returns], &mut self.places)
+        } else {
+            Agreement::default()
+        };
         let crowd = crowd(sensor, grid.voxel_size_m());
         let mut done = self.lines.run(
             map,
