@@ -217,8 +217,9 @@ mod tests {
         let all = |agreement: Agreement| [1.0, 3.0].map(|arm_m| agreement.sigma_vox(arm_m));
         assert!(all(good).iter().all(|&sigma| sigma < 0.1), "{good:?}");
         assert!(all(moved).iter().all(|sigma| (0.4..1.5).contains(sigma)), "{moved:?}");
+        // Vertical walls do not move when the sensor pitches, and all near surface hardly.
         assert!(
-            turned.sigma_vox(3.0) > 1.5 * turned.sigma_vox(1.0).max(0.1),
+            turned.sigma_vox(12.0) > 1.0 && turned.sigma_vox(1.0) < 0.1,
             "{turned:?}"
         );
         assert_eq!(share(0.0, 20.0), 1.0);
