@@ -83,6 +83,8 @@ fn methods_are_measured_against_the_truth_and_held_out_scans() {
     assert!(run.stderr.contains("tsdfuse: note: depth: "), "{}", run.stderr);
 
     let files = [
+        "3d-raycast-projective.html",
+        "3d-raycast.html",
         "methods.png",
         "raycast-projective.ply",
         "raycast.ply",

@@ -127,8 +127,13 @@ fn what_moves_is_labelled_and_left_out() {
         assert_eq!(4 * own, labels.len() as u64);
     }
     let store = folder.text("a.store");
-    let told = tsdfuse(&["fuse", &sample(), "--store", &store, "--leave-out-moving"]).failed(2);
-    assert!(told.contains("would not know what was free"), "{told}");
+    let refused = tsdfuse(&["fuse", &sample(), "--store", &store, "--leave-out-moving"]);
+    assert_eq!(refused.code, 2);
+    assert!(
+        refused.stderr.contains("would not know what was free"),
+        "{}",
+        refused.stderr
+    );
 }
 
 #[test]

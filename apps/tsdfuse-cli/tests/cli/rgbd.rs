@@ -193,7 +193,20 @@ fn colour_images_beside_depth_images_give_the_mesh_its_colours() {
     assert!(seen > 0.9 * all, "{seen} of {all}");
     // They are saved beside the map.
     let picture = folder.text("view.png");
-    tsdfuse(&["render", &map, "-o", &picture, "--image", "color", "--size", "80x60"]).succeeded();
+    tsdfuse(&[
+        "render",
+        &map,
+        "-o",
+        &picture,
+        "--image",
+        "color",
+        "--pose",
+        "0,0,0",
+        "--optical",
+        "--size",
+        "80x60",
+    ])
+    .succeeded();
     let shown = tsdfuse_io::photo::decode(&picture, &fs::read(&picture).unwrap()).unwrap();
     let greens = shown
         .pixels
