@@ -74,7 +74,7 @@ fn the_elevations_of_kitti_are_corrected_unless_that_is_set() {
     let d = folder.text("e.ply");
     let told = tsdfuse(&["fuse", &set, "-o", &d, "--set", "sensor.elevation_correction_deg=7"]).failed(1);
     assert!(
-        told.contains("elevations cannot be corrected by 7°: at most 5° are possible"),
+        told.contains("7° is no error of a sensor: at most 5° are possible"),
         "{told}"
     );
 }

@@ -35,16 +35,16 @@ pub(super) fn images(root: &Path, frames: &[Frame], camera: Pinhole, notes: &mut
     let Some(first) = images.first().and_then(|image| image.path.as_deref()) else {
         return Ok(images);
     };
-    // Only their size: they are read when they are needed.
-    if first.extension().is_some_and(|e| e == "png") {
-        let size = ImageSize::read(first, &files::read(first)?)?;
-        if (size.width, size.height) != (camera.width, camera.height) {
-            notes.push(format!(
-                "colour images of {} x {} pixels are left out: the depth images' camera has {} x {}",
-                size.width, size.height, camera.width, camera.height
-            ));
-            return Ok(Vec::new());
-        }
+    // Only their size: they are read when they are needed, and one that cannot be read is told then.
+    if first.extension().is_some_and(|e| e == "png")
+        && let Ok(size) = ImageSize::read(first, &files::read(first)?)
+        && (size.width, size.height) != (camera.width, camera.height)
+    {
+        notes.push(format!(
+            "colour images of {} x {} pixels are left out: the depth images' camera has {} x {}",
+            size.width, size.height, camera.width, camera.height
+        ));
+        return Ok(Vec::new());
     }
     Ok(images)
 }

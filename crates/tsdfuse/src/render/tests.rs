@@ -418,7 +418,8 @@ fn overviews_show_nearly_all_blocks_and_stray_ones_do_not_count() {
                 let center = map.grid().center(voxel_at(*block, 0)) + 0.175;
                 camera.pixel(back.transform_point(center).as_vec3()).is_some()
             });
-            assert_eq!(inside.count() + 1, renderer.surface_blocks().len());
+            let (inside, all) = (inside.count() + 1, renderer.surface_blocks().len());
+            assert!(inside <= all && 10 * inside >= 9 * all, "{inside} of {all}");
             let view = renderer.view(&Camera::Pinhole(camera), pose).unwrap();
             assert!(view.hit_count() * 12 > view.hits.len(), "{}", view.hit_count());
         }
