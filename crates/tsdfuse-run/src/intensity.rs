@@ -138,7 +138,7 @@ impl Intensity {
     /// Reads a layer.
     ///
     /// # Errors
-    /// As [`tsdfuse_io::map_file::read`]; [`RunError::Config`](crate::RunError::Config) for a map that is no such layer.
+    /// As [`tsdfuse_io::map_file::read`]; [`RunError::Config`] for a map that is no such layer.
     pub fn read(path: &Path) -> Result<Self> {
         Ok(Self {
             layer: Layer::read(path)?,
@@ -204,7 +204,7 @@ impl Intensity {
     /// the map's gradient. `map` may be the part of a map that the scan has reached.
     ///
     /// # Errors
-    /// [`RunError::Full`](crate::RunError::Full) if there is no memory for it.
+    /// [`RunError::Full`] if there is no memory for it.
     pub fn add(&mut self, map: &VoxelMap, scan: &Scan) -> Result<bool> {
         let (Some(intensities), Ok(points), Ok(poses)) = (&scan.intensities, scan.points_in_world(), scan.poses())
         else {
