@@ -127,14 +127,14 @@ impl Kernels {
         }
     }
 
-    /// Surface patches, with or without estimating noise and looking at what the map holds.
-    pub(crate) fn patch(estimates_noise: bool, carves: bool) -> Self {
+    /// Surface patches, with or without estimating noise, erasing, and following how well scans agree with the map.
+    pub(crate) fn patch(estimates_noise: bool, carves: bool, agreement: bool) -> Self {
         let mut before = image();
         if estimates_noise {
             before.extend([step("sample_noise", Work::Scan), step("choose_noise", Work::Once)]);
         }
         before.push(step("find_planes", Work::Cells));
-        if carves {
+        if carves && agreement {
             before.extend([step("sample_offsets", Work::Scan), step("choose_agreement", Work::Once)]);
         }
         Self {

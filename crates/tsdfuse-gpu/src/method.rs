@@ -79,13 +79,18 @@ impl Prepare {
             }
             Method::Depth => Ok((Self::Depth, Kernels::depth())),
             Method::Patch => {
-                let PatchConfig { noise_m, carve, .. } = config.patch;
+                let PatchConfig {
+                    noise_m,
+                    carve,
+                    agreement,
+                    ..
+                } = config.patch;
                 let neighbours = Self::Patch {
                     config: config.patch,
                     beams: Beams::new(sensor),
                     angles: Box::default(),
                 };
-                Ok((neighbours, Kernels::patch(noise_m == 0.0, carve)))
+                Ok((neighbours, Kernels::patch(noise_m == 0.0, carve, agreement)))
             }
             _ => {
                 let there = METHODS.map(Method::name).join(", ");
@@ -146,7 +151,11 @@ impl Prepare {
                     config: *config,
                     gaps: &angles.gaps,
                     nearest: &angles.nearest,
-                    crowd: if config.carve { twin::crowd(&sensor, 1.0) } else { 0.0 },
+                    crowd: if config.carve && config.agreement {
+                        twin::crowd(&sensor, 1.0)
+                    } else {
+                        0.0
+                    },
                 };
                 let weights = surface.weights(scan);
                 Ok(Prepared {

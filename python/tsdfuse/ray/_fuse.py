@@ -187,7 +187,9 @@ class _Run:
         config = Config(records[0]["suggested"]).settings()
         asked = Config(self.job["asked"])
         # Over what the first log suggests of method and voxels; each log suggests its own ranges.
-        merged = Config({**_flat(config), **_flat(asked.settings())})
+        flat = {**_flat(config), **_flat(asked.settings())}
+        # A task knows not all returns of a scan, which tell how well it agrees with the map.
+        merged = Config({**flat, "patch.agreement": False})
         resolved = merged.resolve()
         self.additive = is_additive(resolved)
         if not self.additive and resolved["method"] not in BY_CELL:

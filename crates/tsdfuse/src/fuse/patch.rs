@@ -68,6 +68,9 @@ pub struct PatchConfig {
     pub max_gap_m: f32,
     /// Whether scans look at what the map holds: how well they agree with it, and what free space erases.
     pub carve: bool,
+    /// With `carve`: whether bands, weights and erasing follow how well a scan agrees with the map. All returns of the scan tell it, so a map that
+    /// is fused in parts by region goes without.
+    pub agreement: bool,
 }
 
 impl Default for PatchConfig {
@@ -77,6 +80,7 @@ impl Default for PatchConfig {
             noise_m: 0.0,
             max_gap_m: 0.4,
             carve: true,
+            agreement: true,
         }
     }
 }
@@ -184,7 +188,7 @@ impl Integrator for Patch {
         let truncation = map.config().truncation_vox();
         let reach = FRONT.min(truncation);
         // Without erasing, nothing depends on what the map holds, and maps of parts of a log can be added.
-        let agreement = if self.config.carve {
+        let agreement = if self.config.carve && self.config.agreement {
             Agreement::of(map, anchor, &patches[..returns], &mut self.places)
         } else {
             Agreement::default()
