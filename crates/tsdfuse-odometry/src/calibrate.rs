@@ -4,25 +4,11 @@
 //! what is left. The distance of returns from what the other scans saw, with poses that were refined under the same correction, has its
 //! minimum where the correction is right. (The share of returns that match has no such maximum: where scans disagree, more is tolerated.)
 
-use serde::{Deserialize, Serialize};
 use tsdfuse::Scan;
 use tsdfuse::sensor::SensorCorrection;
 
 use crate::refiner::Refiner;
 use crate::tracker::OdometryConfig;
-
-/// What refinement does about systematic errors of the sensor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Calibrate {
-    /// Nothing.
-    Off,
-    /// It takes back errors that all beams share, if they are there beyond doubt.
-    #[default]
-    Auto,
-    /// It takes back the errors of each beam, too.
-    Beams,
-}
 
 /// Rounds of refinement under each correction that is tried, and how far surfaces are looked for, metres.
 const ROUNDS: usize = 2;

@@ -13,10 +13,10 @@ mod surfaces;
 mod systematic;
 mod tracker;
 
-pub use calibrate::{Calibrate, shared_errors};
+pub use calibrate::shared_errors;
 pub use imu::{ForetoldBy, ImuReport};
 pub use locate::Search;
 pub use refiner::{Refined, Refiner, common_shift};
 pub use surfaces::{Fit, SurfacePoint, Surfaces};
-pub use systematic::ErrorSums;
+pub use systematic::{Calibrate, ErrorSums};
 pub use tracker::{OdometryConfig, Quality, Tracked, Tracker};

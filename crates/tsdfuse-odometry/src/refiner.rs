@@ -11,7 +11,7 @@ use crate::cells::Cells;
 use crate::motion::{Motion, Twist, turn_of};
 use crate::register::{Prediction, register, six};
 use crate::sample::{Sampled, Sampling};
-use crate::systematic::ErrorSums;
+use crate::systematic::{Calibrate, ErrorSums};
 use crate::tracker::{LEAST_RETURNS, OdometryConfig, Quality};
 
 /// Scans that wait at most until those after them were seen, too.
@@ -192,9 +192,10 @@ impl Refiner {
             driven,
         } = self.waiting.pop_front()?;
         let Some(given) = motion else {
+            self.errors.skip();
             return Some(None);
         };
-        let (mut motion, mut quality) = (given.clone(), Quality::default());
+        let (mut motion, mut quality, mut is_registered) = (given.clone(), Quality::default(), false);
         if sampled.sparse.len() >= LEAST_RETURNS {
             self.cells.remove(&sampled.seen(&given), driven);
             let (shift, turn) = GIVEN;
@@ -212,9 +213,14 @@ impl Refiner {
             quality = Quality::of(&registered);
             if !quality.is_unmatched() {
                 motion = registered.motion;
-                self.errors.add(&self.cells, &sampled.sparse, &motion);
+                let of_beams = self.config.calibrate == Calibrate::Beams;
+                self.errors.add(&self.cells, &sampled.sparse, &motion, of_beams);
+                is_registered = true;
             }
             self.cells.add(&sampled.seen(&motion), driven);
+        }
+        if !is_registered {
+            self.errors.skip();
         }
         if driven - self.forgotten_at > 0.05 * self.config.remember_m {
             let here = motion.last().translation;

@@ -7,11 +7,25 @@
 
 use glam::DVec3;
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 use tsdfuse::sensor::{BeamCorrection, SensorCorrection};
 
 use crate::cells::Cells;
 use crate::motion::Motion;
 use crate::register::{KERNEL, Return, kernel};
+
+/// What refinement does about systematic errors of the sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Calibrate {
+    /// Nothing.
+    Off,
+    /// It takes back errors that all beams share, if they are there beyond doubt.
+    #[default]
+    Auto,
+    /// It takes back the errors of each beam, too.
+    Beams,
+}
 
 /// Standard deviation of errors before anything is known: elevation and azimuth, radians, and range, metres.
 const PRIOR: [f64; 3] = [0.005, 0.005, 0.05];
@@ -41,8 +55,8 @@ pub struct ErrorSums {
 }
 
 impl ErrorSums {
-    /// Adds the returns of a sweep that is registered, and that the cells do not hold.
-    pub(crate) fn add(&mut self, cells: &Cells, returns: &[Return], motion: &Motion) {
+    /// Adds the returns of a sweep that is registered, and that the cells do not hold; `of_beams`: also what they say of their beams.
+    pub(crate) fn add(&mut self, cells: &Cells, returns: &[Return], motion: &Motion, of_beams: bool) {
         let placer = motion.placer();
         let (mut off_m, mut n) = (0.0, 0.0);
         for Return { point, share, ring } in returns {
@@ -51,6 +65,9 @@ impl ErrorSums {
                 continue;
             };
             (off_m, n) = (off_m + r.abs().min(MOST_OFF_M), n + 1.0);
+            let Some(ring) = ring.map(usize::from).filter(|ring| of_beams && *ring < MOST_BEAMS) else {
+                continue;
+            };
             let p = point.as_dvec3();
             let (range, across) = (p.length(), p.truncate().length());
             if !(across > 0.0) {
@@ -62,20 +79,18 @@ impl ErrorSums {
             let along = |v: DVec3| plane.normal.dot(placer.place((p + v).as_vec3(), *share) - x);
             let j = Vector3::from(by.map(along));
             let weight = INDEPENDENT * kernel(r, KERNEL * KERNEL * variance) / variance;
-            let sums = Sums {
-                h: weight * j * j.transpose(),
-                g: weight * r * j,
-            };
-            let ring = ring.map(usize::from).filter(|ring| *ring < MOST_BEAMS);
-            if let Some(ring) = ring {
-                if self.beams.len() <= ring {
-                    self.beams.resize(ring + 1, Sums::default());
-                }
-                self.beams[ring].h += sums.h;
-                self.beams[ring].g += sums.g;
+            if self.beams.len() <= ring {
+                self.beams.resize(ring + 1, Sums::default());
             }
+            self.beams[ring].h += weight * j * j.transpose();
+            self.beams[ring].g += weight * r * j;
         }
         self.off_m.push(if n > 0.0 { off_m / n } else { MOST_OFF_M });
+    }
+
+    /// Counts a sweep that is not registered, so that each sweep has a distance.
+    pub(crate) fn skip(&mut self) {
+        self.off_m.push(MOST_OFF_M);
     }
 
     /// What takes back by how much the errors of each ring differ from their mean; nothing without rings.

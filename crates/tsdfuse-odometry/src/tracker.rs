@@ -9,13 +9,13 @@ use tsdfuse::trajectory::secs_between;
 use tsdfuse::{ImuSample, Pose, Scan};
 
 use crate::along::Drift;
-use crate::calibrate::Calibrate;
 use crate::cells::{Cells, Seen};
 use crate::imu::{End, Foretold, ForetoldBy, ImuReport, Inertial};
 use crate::locate::{Search, locate};
 use crate::motion::{Motion, STEPS, repeated, turn_of};
 use crate::register::{Prediction, Registered, register};
 use crate::sample::{Sampled, Sampling};
+use crate::systematic::Calibrate;
 
 /// A scan with fewer returns, evenly spread, is not placed by them.
 pub(crate) const LEAST_RETURNS: usize = 50;
