@@ -88,7 +88,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         g2o::write(path, graph)?;
     }
     if let Some(path) = &args.save_sensor {
-        write_sensor(path, &log, found.correction.as_ref())?;
+        write_sensor(path, &log, found.correction.as_ref(), found.mounting.as_ref())?;
     }
     say(format_args!(
         "{} scans over {:.1} m in {seconds:.2} s, {:.1} scans/s; poses in {}",

@@ -136,6 +136,7 @@ pub(crate) fn doubts(report: &OdometryReport, scans: usize) {
         pieces,
         imu,
         correction,
+        mounting,
         ..
     } = report;
     if *pieces > 1 {
@@ -154,6 +155,13 @@ pub(crate) fn doubts(report: &OdometryReport, scans: usize) {
         say(format_args!(
             "  note: the sensor is off: elevations are corrected by {:.3}°, ranges by {:.3} m{beams}; --save-sensor keeps that for other runs",
             correction.elevation_deg, correction.range_m
+        ));
+    }
+    if let Some(mounting) = mounting {
+        let (shift, turn) = (mounting.shift_m, mounting.turn_deg);
+        say(format_args!(
+            "  note: seen from where the given poses put it, the sensor is shifted by {:.3}, {:.3}, {:.3} m and turned by {:.2}, {:.2}, {:.2}° (about x, y, z), and their clock is {:+.3} s ahead; --save-sensor keeps that for other runs",
+            shift.x, shift.y, shift.z, turn.x, turn.y, turn.z, mounting.time_offset_s
         ));
     }
     if *undetermined > 0 {

@@ -1,11 +1,11 @@
 //! A log with poses of each kind that is asked for.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use tsdfuse::Pose;
 use tsdfuse_io::map_file::FusedPose;
-use tsdfuse_io::{Log, Selection};
-use tsdfuse_run::{Event, Input, Stop, Track, common_shift, refine, track, write_poses, write_sensor};
+use tsdfuse_io::{Log, Selection, sensor_file};
+use tsdfuse_run::{Event, Input, RunError, Stop, Track, common_shift, refine, track, write_poses};
 
 use crate::contest::Contest;
 use crate::error::{Error, Result};
@@ -71,9 +71,15 @@ fn noisy(
     });
     let path = folder.join(format!("{}-noisy.poses", kind.name()));
     write_poses(&path, &poses.collect::<Result<Vec<_>>>()?)?;
-    input.options.poses = Some(path);
+    of_sensor(&mut input, path);
     input.open(&contest.settings, &mut |_: Event<'_>| {})?;
     Ok(input)
+}
+
+/// Gives scans the poses of a file, which are those of the sensor and not of a body that carries it.
+fn of_sensor(input: &mut Input, poses: PathBuf) {
+    input.options.poses = Some(poses);
+    input.options.extrinsics = Some(Pose::IDENTITY);
 }
 
 /// The log with refined or tracked poses, those of scans that are held out included.
@@ -113,11 +119,17 @@ fn found(kind: ScanPoses, contest: &Contest, folder: &Path, watch: &mut Watch<'_
     let path = folder.join(format!("{}.poses", kind.name()));
     write_poses(&path, &poses.collect::<Vec<_>>())?;
     let mut input = contest.input.clone();
-    input.options.poses = Some(path);
+    of_sensor(&mut input, path);
     let mut settings = contest.settings.clone();
-    if let Some(found) = &correction {
+    let is_late = log.sensors().iter().any(|sensor| sensor.time_offset_s.is_some());
+    if (correction.is_some() || is_late)
+        && let Some(mut sensor) = log.sensors().first().cloned()
+    {
+        // The poses have the scans' own times.
+        (sensor.body_from_sensor, sensor.time_offset_s) = (Pose::IDENTITY, Some(0.0));
+        sensor.correction = sensor.correction.plus(&correction.unwrap_or_default());
         let path = folder.join(format!("{}.toml", kind.name()));
-        write_sensor(&path, &log, Some(found))?;
+        sensor_file::write(&path, &sensor).map_err(RunError::from)?;
         input.options.sensor_file = Some(path);
         // The file has what is set, too.
         settings = settings.without("sensor");

@@ -123,15 +123,21 @@ pub fn open(path: impl AsRef<Path>) -> Result<Log> {
 /// As [`open`].
 pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
     let path = path.as_ref();
-    let Some(file) = &options.sensor_file else {
-        return open_as_told(path, options);
-    };
-    let told = sensor_file::read(file)?;
+    let told = options
+        .sensor_file
+        .as_deref()
+        .map(sensor_file::read)
+        .transpose()?
+        .unwrap_or_default();
     let options = OpenOptions {
         extrinsics: options.extrinsics.or(told.body_from_sensor),
         ..options.clone()
     };
-    let log = open_as_told(path, &options)?;
+    let mut log = open_as_told(path, &options)?;
+    let of_log = log.sensors().first().and_then(|sensor| sensor.time_offset_s);
+    if let Some(secs) = told.time_offset_s.or(of_log).filter(|secs| *secs != 0.0) {
+        log = log.with_time_offset(secs)?;
+    }
     match told.correction {
         Some(correction) => log.with_correction(&correction),
         None => Ok(log),
@@ -231,6 +237,21 @@ impl Log {
                 Self(Input::Stream(live))
             }
         })
+    }
+
+    /// With a clock of the poses that is ahead of the sensor's: scans at time t have the poses of t + `secs`, and those that would lie beyond
+    /// the first or the last pose have none.
+    ///
+    /// # Errors
+    /// If the poses have no times, if they are those of several sensors' scans, and for streams.
+    pub fn with_time_offset(self, secs: f64) -> Result<Self> {
+        match self.0 {
+            Input::Source(source) => Ok(Self::new(Corrected::later(source, secs)?)),
+            Input::Stream(live) => Err(Error::dataset(
+                &live.format,
+                "time_offset_s: a stream's poses come with its scans",
+            )),
+        }
     }
 
     fn source(&self) -> Option<&dyn Source> {

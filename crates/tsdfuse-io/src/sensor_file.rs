@@ -3,7 +3,8 @@
 //! - the model ([`SensorModel`]): `name`, `elevations_deg`, `columns`, `min_range_m` and `max_range_m`,
 //! - `body_from_sensor`: the 12 numbers of where the sensor sits on the body whose poses are used,
 //! - the errors, taken back ([`SensorCorrection`]): `elevation_correction_deg`, `range_correction_m`, and for each ring
-//!   `[[beam_corrections]]` with `elevation_deg`, `azimuth_deg` and `range_m`.
+//!   `[[beam_corrections]]` with `elevation_deg`, `azimuth_deg` and `range_m`,
+//! - `time_offset_s`: a scan at time t has the pose of t + `time_offset_s`, where the clock of the poses differs from the sensor's.
 
 use std::io::Write;
 use std::path::Path;
@@ -22,7 +23,11 @@ pub(crate) struct SensorFile {
     pub(crate) model: Option<SensorModel>,
     pub(crate) body_from_sensor: Option<Pose>,
     pub(crate) correction: Option<SensorCorrection>,
+    pub(crate) time_offset_s: Option<f64>,
 }
+
+/// A larger difference between two clocks is none, seconds.
+const MAX_TIME_OFFSET_S: f64 = 10.0;
 
 /// A `sensor.toml` with a model.
 #[derive(Deserialize)]
@@ -37,6 +42,7 @@ struct WithModel {
     elevation_correction_deg: Option<f64>,
     range_correction_m: Option<f64>,
     beam_corrections: Option<Vec<BeamCorrection>>,
+    time_offset_s: Option<f64>,
 }
 
 /// A `sensor.toml` without a model.
@@ -47,6 +53,7 @@ struct WithoutModel {
     elevation_correction_deg: Option<f64>,
     range_correction_m: Option<f64>,
     beam_corrections: Option<Vec<BeamCorrection>>,
+    time_offset_s: Option<f64>,
 }
 
 /// Parses `sensor.toml`: the model, where the sensor sits and what its errors are; each of them may be missing. `path` is for
@@ -55,36 +62,9 @@ struct WithoutModel {
 /// # Errors
 /// Names the file and what no sensor can have.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<SensorFile> {
-    let file = |model,
-                body_from_sensor: Option<[f64; 12]>,
-                errors: (Option<f64>, Option<f64>, Option<Vec<BeamCorrection>>)| {
-        let pose = |numbers: [f64; 12]| {
-            let pose = Pose::from_row_major_3x4(&numbers);
-            pose.map_err(|e| Error::format(path, format!("body_from_sensor: {e}")))
-        };
-        let is_told = errors.0.is_some() || errors.1.is_some() || errors.2.is_some();
-        let correction = SensorCorrection {
-            elevation_deg: errors.0.unwrap_or_default(),
-            range_m: errors.1.unwrap_or_default(),
-            beams: errors.2.unwrap_or_default(),
-        };
-        correction.check().map_err(|e| Error::format(path, e.to_string()))?;
-        Ok(SensorFile {
-            model,
-            body_from_sensor: body_from_sensor.map(pose).transpose()?,
-            correction: is_told.then_some(correction),
-        })
-    };
-    if let Ok(WithoutModel {
-        body_from_sensor,
-        elevation_correction_deg,
-        range_correction_m,
-        beam_corrections,
-    }) = text::toml(path, bytes)
-    {
-        let errors = (elevation_correction_deg, range_correction_m, beam_corrections);
-        let told = file(None, body_from_sensor, errors)?;
-        if told.body_from_sensor.is_some() || told.correction.is_some() {
+    if let Ok(told) = text::toml::<WithoutModel>(path, bytes) {
+        let told = told.checked(path)?;
+        if told.body_from_sensor.is_some() || told.correction.is_some() || told.time_offset_s.is_some() {
             return Ok(told);
         }
     }
@@ -97,12 +77,48 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<SensorFile> {
         max_range_m: told.max_range_m,
     };
     model.check().map_err(|e| Error::format(path, e.to_string()))?;
-    let errors = (
-        told.elevation_correction_deg,
-        told.range_correction_m,
-        told.beam_corrections,
-    );
-    file(Some(model), told.body_from_sensor, errors)
+    let besides = WithoutModel {
+        body_from_sensor: told.body_from_sensor,
+        elevation_correction_deg: told.elevation_correction_deg,
+        range_correction_m: told.range_correction_m,
+        beam_corrections: told.beam_corrections,
+        time_offset_s: told.time_offset_s,
+    };
+    Ok(SensorFile {
+        model: Some(model),
+        ..besides.checked(path)?
+    })
+}
+
+impl WithoutModel {
+    fn checked(self, path: &Path) -> Result<SensorFile> {
+        let pose = |numbers: [f64; 12]| {
+            let pose = Pose::from_row_major_3x4(&numbers);
+            pose.map_err(|e| Error::format(path, format!("body_from_sensor: {e}")))
+        };
+        let is_told = self.elevation_correction_deg.is_some()
+            || self.range_correction_m.is_some()
+            || self.beam_corrections.is_some();
+        let correction = SensorCorrection {
+            elevation_deg: self.elevation_correction_deg.unwrap_or_default(),
+            range_m: self.range_correction_m.unwrap_or_default(),
+            beams: self.beam_corrections.unwrap_or_default(),
+        };
+        correction.check().map_err(|e| Error::format(path, e.to_string()))?;
+        if let Some(secs) = self.time_offset_s
+            && !(secs.abs() <= MAX_TIME_OFFSET_S)
+        {
+            let reason =
+                format!("time_offset_s: clocks that are {secs} s apart: at most {MAX_TIME_OFFSET_S} s are possible");
+            return Err(Error::format(path, reason));
+        }
+        Ok(SensorFile {
+            model: None,
+            body_from_sensor: self.body_from_sensor.map(pose).transpose()?,
+            correction: is_told.then_some(correction),
+            time_offset_s: self.time_offset_s,
+        })
+    }
 }
 
 /// A sensor as its file has it.
@@ -112,6 +128,8 @@ struct Written<'a> {
     model: Option<&'a SensorModel>,
     #[serde(skip_serializing_if = "Option::is_none")]
     body_from_sensor: Option<[f64; 12]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time_offset_s: Option<f64>,
     #[serde(flatten)]
     correction: &'a SensorCorrection,
 }
@@ -133,6 +151,7 @@ pub fn write(path: &Path, sensor: &Sensor) -> Result<()> {
         model: sensor.model.as_ref(),
         body_from_sensor: (sensor.body_from_sensor != Pose::IDENTITY)
             .then(|| sensor.body_from_sensor.to_row_major_3x4()),
+        time_offset_s: sensor.time_offset_s,
         correction: &sensor.correction,
     };
     let text = toml::to_string(&written).map_err(|e| Error::format(path, e.to_string()))?;
@@ -166,12 +185,14 @@ mod tests {
                             beams,
                             ..SensorCorrection::of_elevation(0.2)
                         },
+                        time_offset_s: Some(-0.04),
                         ..Sensor::new("lidar")
                     };
                     write(&path, &sensor).unwrap();
                     let told = read(&path).unwrap();
                     assert_eq!(told.model, model);
                     assert_eq!(told.correction.unwrap(), sensor.correction);
+                    assert_eq!(told.time_offset_s, Some(-0.04));
                     let off = told.body_from_sensor.unwrap_or_default().inverse() * body_from_sensor;
                     assert!(off.translation.length() < 1e-12 && off.rotation.xyz().length() < 1e-12);
                 }

@@ -55,6 +55,8 @@ pub struct Sensor {
     pub body_from_sensor: Pose,
     /// The sensor's known errors, which are taken back from what [`Source::read`] and [`Stream::next`] hand out.
     pub correction: SensorCorrection,
+    /// Its scans have the poses of this many seconds later than their own times, where it was told that the clock of the poses differs.
+    pub time_offset_s: Option<f64>,
 }
 
 impl Sensor {
@@ -67,6 +69,7 @@ impl Sensor {
             min_range_m: None,
             body_from_sensor: Pose::IDENTITY,
             correction: SensorCorrection::default(),
+            time_offset_s: None,
         }
     }
 }

@@ -12,7 +12,7 @@ use tsdfuse::trajectory::length_m;
 use tsdfuse::{SensorModel, VoxelMap};
 use tsdfuse_io::Sensor;
 use tsdfuse_io::map_file::FusedPose;
-use tsdfuse_odometry::{ImuReport, Quality};
+use tsdfuse_odometry::{ImuReport, Mounting, Quality};
 use tsdfuse_store::PagedMap;
 
 use crate::config::RunConfig;
@@ -151,6 +151,10 @@ pub struct OdometryReport {
     /// Systematic errors of the sensor that refinement found, and that were taken back besides those that were known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correction: Option<SensorCorrection>,
+    /// Where the sensor is, seen from where the given poses put it, if refinement found it elsewhere. The poses are refined, so the map needs
+    /// no more; other logs of the same vehicle do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mounting: Option<Mounting>,
 }
 
 impl OdometryReport {
@@ -165,6 +169,7 @@ impl OdometryReport {
             loops: None,
             imu: None,
             correction: None,
+            mounting: None,
         };
         for quality in qualities.skip(1) {
             report.undetermined += usize::from(quality.is_undetermined());

@@ -778,6 +778,7 @@ impl Session {
                 imu: placed.imu.clone(),
                 loops: placed.loops.clone(),
                 correction: placed.correction.clone(),
+                mounting: placed.mounting,
                 ..of(placed.seconds)
             }),
         }
@@ -912,11 +913,11 @@ impl Session {
     /// # Errors
     /// If the file cannot be written.
     pub fn write_sensor(&self, path: &Path) -> Result<()> {
-        let found = match &self.placer {
-            Placer::Refinement(placed) => placed.correction.as_ref(),
-            Placer::Log | Placer::Odometry(_) => None,
+        let (correction, mounting) = match &self.placer {
+            Placer::Refinement(placed) => (placed.correction.as_ref(), placed.mounting.as_ref()),
+            Placer::Log | Placer::Odometry(_) => (None, None),
         };
-        tracking::write_sensor(path, &self.log, found)
+        tracking::write_sensor(path, &self.log, correction, mounting)
     }
 
     /// Saves the map of the scans so far, with their poses; intensities and colours, as far as they are known, as layers of their own

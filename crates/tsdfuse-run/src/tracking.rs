@@ -15,7 +15,8 @@ use tsdfuse_io::poses::{self, Poses};
 use tsdfuse_io::{Log, ReadScan, Selection, sensor_file};
 use tsdfuse_loops::LoopConfig;
 use tsdfuse_odometry::{
-    Calibrate, ImuReport, OdometryConfig, Quality, Refined, Refiner, Search, Tracker, common_shift, shared_errors,
+    Calibrate, ImuReport, Mounting, OdometryConfig, Quality, Refined, Refiner, Search, Tracker, common_shift, mounting,
+    shared_errors,
 };
 
 use crate::error::{BadScan, Result, RunError};
@@ -176,6 +177,8 @@ pub(crate) struct Refinement {
     graph: Option<g2o::Graph>,
     /// Systematic errors of the sensor that were found, taken back.
     pub(crate) correction: Option<SensorCorrection>,
+    /// Where the sensor is, seen from where the given poses put it, if that is elsewhere.
+    pub(crate) mounting: Option<Mounting>,
 }
 
 impl Refinement {
@@ -268,10 +271,16 @@ impl Refinement {
                 correction = correction.plus(&refiner.errors().by_beam());
             }
         }
-        let pairs = indices
-            .iter()
-            .filter_map(|index| Some((log.scans()[*index].pose?, refined.get(index)?.pose)));
+        let scans = indices.iter().map(|index| (&log.scans()[*index], refined.get(index)));
+        let pairs = scans
+            .clone()
+            .filter_map(|(scan, refined)| Some((scan.pose?, refined?.pose)));
         let shift = common_shift(&pairs.collect::<Vec<_>>());
+        let timed = scans.filter_map(|(scan, refined)| Some((scan.time_ns?, scan.pose?, refined?.pose)));
+        let mounting = match config.calibrate {
+            Calibrate::Off => None,
+            Calibrate::Auto | Calibrate::Beams => mounting(&timed.collect::<Vec<_>>()),
+        };
         let refined = refined
             .into_iter()
             .map(|(index, refined)| (index, refined.moved(&shift)))
@@ -285,6 +294,7 @@ impl Refinement {
             loops,
             graph,
             correction: (!correction.is_none()).then_some(correction),
+            mounting,
         })
     }
 
@@ -334,6 +344,7 @@ impl Refinement {
             loops: Some(corrections.report),
             graph: Some(corrections.graph),
             correction: None,
+            mounting: None,
         })
     }
 
@@ -395,6 +406,8 @@ pub struct Track {
     pub graph: Option<g2o::Graph>,
     /// Systematic errors of the sensor that refinement found, taken back.
     pub correction: Option<SensorCorrection>,
+    /// Where the sensor is, seen from where the given poses put it, if refinement found it elsewhere.
+    pub mounting: Option<Mounting>,
 }
 
 impl Track {
@@ -406,6 +419,7 @@ impl Track {
             imu: self.imu.clone(),
             loops: self.loops.clone(),
             correction: self.correction.clone(),
+            mounting: self.mounting,
             ..OdometryReport::of(seconds, &poses, self.scans.iter().map(|scan| &scan.quality))
         }
     }
@@ -469,6 +483,7 @@ pub fn track(
         loops,
         graph,
         correction: None,
+        mounting: None,
     })
 }
 
@@ -504,6 +519,7 @@ pub fn refine(
         loops: refinement.loops,
         graph: refinement.graph,
         correction: refinement.correction,
+        mounting: refinement.mounting,
     })
 }
 
@@ -516,16 +532,26 @@ pub fn write_poses(path: &Path, poses: &[FusedPose]) -> Result<()> {
     Ok(poses::write(path, &Poses::of(poses))?)
 }
 
-/// Writes what is known of a log's first sensor, and the errors that were found besides.
+/// Writes what is known of a log's first sensor, and what was found besides.
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write_sensor(path: &Path, log: &Log, found: Option<&SensorCorrection>) -> Result<()> {
+pub fn write_sensor(
+    path: &Path,
+    log: &Log,
+    correction: Option<&SensorCorrection>,
+    mounting: Option<&Mounting>,
+) -> Result<()> {
     let Some(mut sensor) = log.sensors().first().cloned() else {
         return Ok(());
     };
-    if let Some(found) = found {
+    if let Some(found) = correction {
         sensor.correction = sensor.correction.plus(found);
+    }
+    if let Some(found) = mounting {
+        sensor.body_from_sensor = sensor.body_from_sensor * found.pose();
+        let offset_s = sensor.time_offset_s.unwrap_or_default() + found.time_offset_s;
+        sensor.time_offset_s = (offset_s != 0.0).then_some(offset_s);
     }
     Ok(sensor_file::write(path, &sensor)?)
 }

@@ -71,6 +71,7 @@ pub(super) fn sensor(root: &Path, options: &OpenOptions) -> Result<(Sensor, bool
     let sensor = Sensor {
         body_from_sensor: options.extrinsics.or(told.body_from_sensor).unwrap_or_default(),
         correction: told.correction.clone().unwrap_or_default(),
+        time_offset_s: told.time_offset_s,
         ..of_model(model)
     };
     Ok((sensor, told.correction.is_some()))

@@ -236,3 +236,38 @@ fn iterating_gives_valid_returns_only() {
     }
     assert_eq!(Some(number), log.len());
 }
+
+#[test]
+fn poses_of_a_clock_that_is_ahead_are_looked_up_later() {
+    let folder = tempfile::tempdir().unwrap();
+    let sitting = Pose {
+        rotation: DQuat::from_rotation_z(0.4),
+        translation: DVec3::new(1.0, 0.0, 0.5),
+    };
+    drive(folder.path(), &sitting, 0.2);
+    let (exact, there) = off_wall(&crate::open(folder.path()).unwrap());
+    // Scans as of a clock that is 50 ms late: they lie beside the wall until the offset is known.
+    let times = folder.path().join("times.txt");
+    let late: String = (0..4)
+        .map(|scan| format!("{:.3}\n", 0.15 + 0.1 * f64::from(scan)))
+        .collect();
+    std::fs::write(&times, late).unwrap();
+    let (off, _) = off_wall(&crate::open(folder.path()).unwrap());
+    assert!(off > exact + 0.01, "{off} {exact}");
+    let sensor = folder.path().join("sensor.toml");
+    let told = std::fs::read_to_string(&sensor).unwrap();
+    std::fs::write(&sensor, format!("{told}time_offset_s = 0.05\n")).unwrap();
+    let log = crate::open(folder.path()).unwrap();
+    assert_eq!(log.sensors()[0].time_offset_s, Some(0.05));
+    let (mended, here) = off_wall(&log);
+    assert!(
+        mended < exact + 0.001 && here > there * 9 / 10,
+        "{mended} {exact}, {here} of {there}"
+    );
+    std::fs::write(&sensor, format!("{told}time_offset_s = 11.0\n")).unwrap();
+    let error = crate::open(folder.path()).map(|_| ()).unwrap_err().to_string();
+    assert!(
+        error.contains("sensor.toml") && error.contains("time_offset_s"),
+        "{error}"
+    );
+}

@@ -304,7 +304,7 @@ fn each_fault_is_one_line_with_its_place() {
         message(&put("sensor.toml", b"name = \"x\"\nbeams = 3\n"), 0),
         "DIR/sensor.toml: line 2: unknown field `beams`, expected one of `name`, `elevations_deg`, `columns`, \
          `min_range_m`, `max_range_m`, `body_from_sensor`, `elevation_correction_deg`, `range_correction_m`, \
-         `beam_corrections`"
+         `beam_corrections`, `time_offset_s`"
     );
     assert_eq!(
         message(&|dir| fs::write(dir.join("poses.txt"), IDENTITY.repeat(2)).unwrap(), 0),
