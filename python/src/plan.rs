@@ -3,7 +3,7 @@
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock};
 
 use glam::{DVec2, DVec3, IVec3};
-use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use tsdfuse::index::BlockIndex;
@@ -98,6 +98,18 @@ impl Esdf {
         });
         Ok((voxels.into_rows(py)?, PyArray1::from_vec(py, distances)))
     }
+
+    /// All distances as an array, and the voxel at its lowest corner.
+    fn dense<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray3<f32>>, [i32; 3])> {
+        let dense = py.detach(|| {
+            let esdf = self.0.read().unwrap_or_else(PoisonError::into_inner);
+            esdf.dense().map_err(wrong)
+        })?;
+        Ok((
+            PyArray1::from_vec(py, dense.values).reshape(dense.size)?,
+            dense.low.to_array(),
+        ))
+    }
 }
 
 /// A piece of a surface, on its way from Python.
@@ -165,6 +177,61 @@ impl Occupancy {
                 .unzip()
         });
         Ok((voxels.into_rows(py)?, PyArray1::from_vec(py, occupied)))
+    }
+
+    /// All that is known as an array, and the voxel at its lowest corner.
+    fn dense<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray3<u8>>, [i32; 3])> {
+        let (dense, values) = py.detach(|| {
+            let occupancy = self.0.read().unwrap_or_else(PoisonError::into_inner);
+            let dense = occupancy.dense().map_err(wrong)?;
+            let values = dense.values.iter().map(|state| number(*state)).collect();
+            PyResult::Ok((dense, values))
+        })?;
+        Ok((
+            PyArray1::from_vec(py, values).reshape(dense.size)?,
+            dense.low.to_array(),
+        ))
+    }
+
+    /// Costs from above between two heights, row by row from the lowest y on, and the lower left corner.
+    #[pyo3(signature = (low=f64::NEG_INFINITY, high=f64::INFINITY, inflate=0.0))]
+    fn slice<'py>(
+        &self,
+        py: Python<'py>,
+        low: f64,
+        high: f64,
+        inflate: f64,
+    ) -> PyResult<(Bound<'py, PyArray2<i8>>, [f64; 2])> {
+        let (slice, costs) = py.detach(|| {
+            let occupancy = self.0.read().unwrap_or_else(PoisonError::into_inner);
+            let nothing = || wrong(format!("nothing is known between {low} and {high} m"));
+            let slice = occupancy.slice(low, high).ok_or_else(nothing)?;
+            // No cost is more than 100.
+            let cost = |cost: Option<u8>| cost.map_or(-1, |cost| cost as i8);
+            let costs = slice.costs(inflate).into_iter().map(cost).collect();
+            PyResult::Ok((slice, costs))
+        })?;
+        let costs = PyArray1::from_vec(py, costs).reshape([slice.height, slice.width])?;
+        Ok((costs, slice.origin.to_array()))
+    }
+
+    /// Where free space meets unknown space: the middle and the voxels of each frontier, the largest first.
+    #[pyo3(signature = (low=f64::NEG_INFINITY, high=f64::INFINITY, min_voxels=20))]
+    fn frontiers<'py>(
+        &self,
+        py: Python<'py>,
+        low: f64,
+        high: f64,
+        min_voxels: usize,
+    ) -> PyResult<Vec<([f64; 3], Bound<'py, PyArray2<i32>>)>> {
+        let found = py.detach(|| {
+            let occupancy = self.0.read().unwrap_or_else(PoisonError::into_inner);
+            occupancy.frontiers(low, high, min_voxels)
+        });
+        let told = found
+            .into_iter()
+            .map(|frontier| Ok((frontier.center.to_array(), frontier.voxels.into_rows(py)?)));
+        told.collect()
     }
 }
 

@@ -29,6 +29,9 @@ def test_distances_follow_a_map() -> None:
     whole.update(m)
     for a, b in zip(esdf.voxels(), whole.voxels(), strict=True):
         assert np.array_equal(a, b)
+    (voxels, distances), (array, lowest) = esdf.voxels(), esdf.dense()
+    assert np.array_equal(array[tuple((voxels - lowest).T)], distances)
+    assert np.count_nonzero(~np.isnan(array)) == len(distances)
     with pytest.raises(tsdfuse.ConfigError):
         tsdfuse.Esdf(voxel_size=0)
 
@@ -39,6 +42,19 @@ def test_free_space_is_known() -> None:
     assert occupancy.at([[1.5, 0.1, 0.1], [3.05, 0.1, 0.5], [9, 0, 0]]).tolist() == [1, 2, 0]
     voxels, occupied = occupancy.voxels()
     assert len(voxels) == len(occupied) and 0 < occupied.sum() < len(occupied)
+    states, lowest = occupancy.dense()
+    at = tuple((voxels - lowest).T)
+    assert (states[at] == 1 + occupied).all() and np.count_nonzero(states) == len(voxels)
+    costs, corner = occupancy.slice(-0.5, 1.0, inflate=0.4)
+    assert costs.shape[1] >= 15 and corner[0] <= 0.01
+    assert costs.max() == 100 and 0 < np.count_nonzero((costs > 0) & (costs < 100))
+    frontiers = occupancy.frontiers(min_voxels=5)
+    sizes = [len(of) for _, of in frontiers]
+    assert sizes and sizes == sorted(sizes, reverse=True) and sizes[-1] >= 5
+    center, of = frontiers[0]
+    assert np.allclose(center, (of + 0.5).mean(axis=0) * 0.2)
+    with pytest.raises(tsdfuse.ConfigError):
+        occupancy.slice(50, 60)
 
 
 def test_what_comes_into_free_space_moves() -> None:

@@ -258,6 +258,8 @@ class Esdf:
     def voxels(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """All voxels within the radius of surface (N, 3), and the distances of their centres, metres. Voxel v has its centre at
         (v + ½) · voxel_size."""
+    def dense(self) -> tuple[NDArray[np.float32], tuple[int, int, int]]:
+        """All distances as an array (x, y, z), metres, NaN beyond the radius; and the voxel at its lowest corner."""
 
 class Occupancy:
     """What rays have passed through and where they ended: free, occupied, unknown.
@@ -273,6 +275,16 @@ class Occupancy:
         """What is known at points (N, 3), world: 0 nothing, 1 free, 2 occupied."""
     def voxels(self) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
         """All voxels that are known (N, 3), and whether they are occupied."""
+    def dense(self) -> tuple[NDArray[np.uint8], tuple[int, int, int]]:
+        """All that is known as an array (x, y, z): 0 nothing, 1 free, 2 occupied; and the voxel at its lowest corner."""
+    def slice(self, low: float = ..., high: float = ..., inflate: float = 0.0) -> tuple[NDArray[np.int8], tuple[float, float]]:
+        """What is known between two heights (world z, metres), from above: costs (rows, columns) from the lowest y on, 100 where any voxel
+        is occupied, falling to 0 over ``inflate`` metres, -1 where nothing is known; and the lower left corner, metres."""
+    def frontiers(
+        self, low: float = ..., high: float = ..., min_voxels: int = 20
+    ) -> list[tuple[tuple[float, float, float], NDArray[np.int32]]]:
+        """Where free space meets unknown space between two heights: the middle (world, metres) and the voxels (N, 3) of each frontier
+        with at least so many voxels, the largest first."""
 
 class Moving:
     """Tells scan by scan which returns move: those in space that was known to be free.

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use anyhow::Result;
 use tsdfuse_evaluate::Form;
-use tsdfuse_evaluate::bench::{Bench, LongDrive, STREET};
+use tsdfuse_evaluate::bench::{Bench, Live, LongDrive, STREET};
+use tsdfuse_plan::EsdfConfig;
 use tsdfuse_run::Device;
 
 use crate::args::{LogArgs, Memory};
@@ -23,6 +24,7 @@ Examples:
   tsdfuse bench --threads 1 --json
   tsdfuse bench --long-drive 10000
   tsdfuse bench --long-drive 16000 --memory 512M
+  tsdfuse bench drive --live --scans 0..100
   tsdfuse bench --device gpu --methods raycast,patch";
 
 /// Measure this machine: time of each stage, compared with the memory bandwidth.
@@ -46,6 +48,10 @@ pub(crate) struct Args {
     /// With --long-drive: limit the memory for blocks; then mesh the whole map and report the size of its file.
     #[arg(long, value_name = "SIZE", requires = "long_drive")]
     memory: Option<Memory>,
+    /// Instead, do after each scan what a robot needs, and take the time: its pose (tracked where the log has none, or with --poses
+    /// track), the map, the mesh of what changed, distances up to 2 m; beside these, which returns move.
+    #[arg(long, conflicts_with_all = ["long_drive", "methods", "runs", "device"])]
+    live: bool,
     /// Measure the CPU, or a GPU: fusing, meshing, rendering and each kernel.
     #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
     device: Device,
@@ -54,6 +60,9 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
+    if args.live {
+        return live(args);
+    }
     args.log.check_poses_known()?;
     let bench = args.bench()?;
     args.check(&bench.forms)?;
@@ -92,6 +101,25 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     } else {
         Outcome::ScansSkipped
     })
+}
+
+fn live(args: &Args) -> Result<Outcome> {
+    let live = Live {
+        input: args.log.input(),
+        poses: args.log.poses_from(),
+        settings: args.log.settings(None)?,
+        esdf: EsdfConfig::default(),
+        command_line: command_line(),
+    };
+    args.log.set_threads()?;
+    let mut bars = Bars::default();
+    let results = live.run(&mut |progress| bars.show(&progress)).map_err(told)?;
+    if args.json {
+        print_json(&results)?;
+    } else {
+        print(&results.text())?;
+    }
+    Ok(Outcome::Complete)
 }
 
 #[cfg(feature = "gpu")]

@@ -156,7 +156,10 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         })?;
     } else {
         print(&figures::of(&args.mesh, &args.reference, &comparison))?;
-        if let Some(Colored { path, max_error_m }) = &colored {
+        // A page has a legend of its own.
+        if let Some(Colored { path, max_error_m }) = &colored
+            && !path.extension().is_some_and(|e| e.eq_ignore_ascii_case("html"))
+        {
             note(format_args!(
                 "{}: dark blue at 0, yellow from {max_error_m} m on",
                 path.display()

@@ -22,6 +22,10 @@ mod progress;
 mod render;
 mod resume;
 mod run_job;
+#[cfg(feature = "serve")]
+mod serve;
+#[cfg(any(feature = "serve", feature = "view"))]
+mod serving;
 mod simulate;
 mod terminal;
 mod user;
@@ -49,6 +53,8 @@ enum Command {
     Render(Box<render::Args>),
     #[cfg(feature = "view")]
     View(view::Args),
+    #[cfg(feature = "serve")]
+    Serve(Box<serve::Args>),
     Simulate(simulate::Args),
     Info(info::Args),
     Convert(convert::Args),
@@ -78,6 +84,8 @@ pub fn run(start: Vec<OsString>, arguments: Vec<OsString>) -> u8 {
         Command::Render(args) => render::run(args),
         #[cfg(feature = "view")]
         Command::View(args) => view::run(args),
+        #[cfg(feature = "serve")]
+        Command::Serve(args) => serve::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Info(args) => info::run(args),
         Command::Convert(args) => convert::run(args),

@@ -2,8 +2,6 @@
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::thread;
-use std::time::Duration;
 
 use anyhow::{Context, Result};
 use tsdfuse::mesh::{MeshConfig, extract_with};
@@ -13,7 +11,8 @@ use tsdfuse_view::live::Live;
 use tsdfuse_view::{Scene, add_normals};
 
 use crate::exit::{self, Outcome, Usage};
-use crate::progress::{self, say};
+use crate::progress;
+use crate::serving;
 
 /// Where a view is served unless an address is given.
 pub(crate) const DEFAULT: &str = "127.0.0.1:8642";
@@ -112,27 +111,10 @@ pub(crate) fn open(address: SocketAddr, path: &Path) -> Result<Live> {
 }
 
 fn tell(live: &Live) {
-    say(format_args!("  view     {}", live.url()));
-    if live.address().ip().is_loopback() {
-        let port = live.address().port();
-        let host = std::fs::read_to_string("/etc/hostname").ok();
-        let host = host
-            .as_deref()
-            .map(str::trim)
-            .filter(|name| !name.is_empty())
-            .unwrap_or("THIS-MACHINE");
-        say(format_args!(
-            "  over ssh first, on your machine: ssh -L {port}:127.0.0.1:{port} {host}"
-        ));
-    }
+    serving::tell("view", &live.url(), live.address());
 }
 
 /// Keeps a view open until Ctrl-C.
 pub(crate) fn stay(live: &Live, stop: &Stop) {
-    if !stop.is_stopped() {
-        say(format_args!("  the view stays open at {}; Ctrl-C ends it", live.url()));
-    }
-    while !stop.is_stopped() {
-        thread::sleep(Duration::from_millis(100));
-    }
+    serving::stay("the view", &live.url(), stop, || {});
 }

@@ -7,6 +7,7 @@ mod drive_table;
 #[cfg(feature = "gpu")]
 mod gpu;
 mod limits;
+mod live;
 mod long_drive;
 mod pieces;
 mod results;
@@ -19,6 +20,7 @@ pub use compare::Bench;
 #[cfg(feature = "gpu")]
 pub use gpu::{GpuResults, Kernel, MeasuredGpu, on_gpu};
 pub use limits::Limits;
+pub use live::{Live, LiveResults, Sweep};
 pub use long_drive::{LongDrive, LongDriveResults, Pass, Stored};
 pub use results::{Data, Measured, Results};
 pub use run::Run;

@@ -15,6 +15,7 @@ use tsdfuse::glam::{DVec3, IVec3, Vec3};
 use tsdfuse::index::Grid;
 use tsdfuse::mesh::Piece;
 
+use crate::dense::Dense;
 use crate::error::PlanError;
 
 mod chunks;
@@ -150,6 +151,16 @@ impl Esdf {
                 .flat_map(|chunk| chunk.known(index))
                 .for_each(|(voxel, squared)| visit(voxel, self.lattice.metres(squared)));
         }
+    }
+
+    /// All distances as an array, metres; NaN beyond the radius.
+    ///
+    /// # Errors
+    /// [`PlanError`] if it would have more than 2³¹ voxels.
+    pub fn dense(&self) -> Result<Dense<f32>, PlanError> {
+        Dense::of(f32::NAN, |visit| {
+            self.for_each(|voxel, distance_m| visit(voxel, distance_m))
+        })
     }
 
     /// Bytes of distances and sites.

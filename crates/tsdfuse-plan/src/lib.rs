@@ -28,6 +28,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod dense;
 mod error;
 pub mod esdf;
 pub mod ground;
@@ -40,6 +41,7 @@ mod rays;
 #[doc = include_str!("../README.md")]
 struct Readme;
 
+pub use dense::Dense;
 pub use error::PlanError;
 pub use esdf::{Esdf, EsdfConfig, Nearest};
 pub use ground::{GroundConfig, GroundGrid};

@@ -1,9 +1,9 @@
 //! Which returns move: those in space that was known to be free.
 //!
 //! After Schmid et al., "Dynablox", RA-L 2023, with rays instead of a distance field. A voxel is *free* after rays have passed through it in
-//! several scans without ending there. A return is a *seed* if all voxels around its own are free, two to each side: so neither
-//! noise in front of a wall nor rays that graze the ground make one. What lies up to three free voxels from a seed moves with it:
-//! wheels, and feet. Space stays free while something moves through it.
+//! several scans without ending there. It is *clear* once all voxels around it are free, two to each side: so neither noise in front of a
+//! wall nor rays that graze the ground end in clear voxels. Clear voxels stay clear while something moves in or beside them. A return in a clear
+//! voxel moves. So does what lies up to three free voxels from there: wheels, and feet.
 //!
 //! ```
 //! use tsdfuse::{Pose, Scan, glam::Vec3};
@@ -31,7 +31,7 @@ use tsdfuse::glam::IVec3;
 use tsdfuse::scan::ScanError;
 
 use crate::error::{PlanError, check_rays};
-use crate::marks::{CHUNK, Marks, VOXELS, bits, number, voxel_of};
+use crate::marks::{CHUNK, ChunkMarks, Marks, VOXELS, bits, number, voxel_of};
 use crate::rays::Rays;
 
 /// Options of [`Moving`].
@@ -61,10 +61,12 @@ impl Default for MovingConfig {
     }
 }
 
-/// Voxels to each side of a seed that must be free.
-const SEED_REACH: i32 = 2;
-/// So many voxels from a seed, returns in free voxels move with it.
+/// Voxels to each side of a clear one that were free at the same time.
+const REACH: i32 = 2;
+/// So many voxels from a clear one, returns in free voxels move with it.
 const GROWTH: usize = 3;
+/// Scans that ended in a free voxel, though nothing moved there, after which those around are no longer clear: something thin was missed before.
+const MISSED: u8 = 10;
 
 /// What is remembered of a voxel.
 #[derive(Clone, Copy, Debug, Default)]
@@ -73,13 +75,82 @@ struct Voxel {
     passed: u8,
     /// Scans since rays passed last in which something moving was there.
     visited: u8,
+    /// Scans that ended there since it was free, though nothing moved.
+    missed: u8,
+}
+
+/// A bit for each voxel of a chunk.
+type Bits = [u64; VOXELS / 64];
+
+/// What is remembered of 16³ voxels.
+#[derive(Clone, Debug)]
+struct Chunk {
+    voxels: Box<[Voxel; VOXELS]>,
+    free: Bits,
+    clear: Bits,
+}
+
+impl Default for Chunk {
+    fn default() -> Self {
+        Self {
+            voxels: Box::new([Voxel::default(); VOXELS]),
+            free: [0; VOXELS / 64],
+            clear: [0; VOXELS / 64],
+        }
+    }
+}
+
+fn has(bits: &Bits, number: usize) -> bool {
+    bits[number / 64] >> (number % 64) & 1 == 1
+}
+
+/// The voxels of a chunk around which all are free, by the free ones of the chunks around it, its own in the middle.
+fn clear(around: &[Option<&Bits>; 27]) -> Bits {
+    const EDGE: usize = CHUNK as usize;
+    const WIDE: usize = EDGE + 2 * REACH as usize;
+    // Rows along z of this chunk and of as much of its neighbours as is looked at; one bit a voxel.
+    let row = |x: usize, y: usize| {
+        // Chunk and voxel of a place along an axis.
+        let split = |at: usize| ((at + EDGE - REACH as usize) / EDGE, (at + EDGE - REACH as usize) % EDGE);
+        let ((cx, x), (cy, y)) = (split(x), split(y));
+        let of = |cz: usize| {
+            let number = x * EDGE + y;
+            around[(cx * 3 + cy) * 3 + cz].map_or(0, |bits| bits[number / 4] >> (EDGE * (number % 4)) & 0xffff)
+        };
+        (of(0) >> (EDGE - REACH as usize) | of(1) << REACH | of(2) << (EDGE + REACH as usize)) as u32
+    };
+    let eroded = |bits: u32| (1..=2 * REACH).fold(bits, |all, by| all & bits >> by);
+    let mut rows = [[0_u32; WIDE]; WIDE];
+    for (x, rows) in rows.iter_mut().enumerate() {
+        for (y, bits) in rows.iter_mut().enumerate() {
+            *bits = eroded(row(x, y));
+        }
+    }
+    let width = 2 * REACH as usize + 1;
+    let along_y = rows.map(|rows| {
+        let of = |y: usize| rows[y..y + width].iter().fold(u32::MAX, |all, bits| all & bits);
+        std::array::from_fn::<u32, EDGE, _>(of)
+    });
+    let mut clear = [0; VOXELS / 64];
+    for number in 0..EDGE * EDGE {
+        let (x, y) = (number / EDGE, number % EDGE);
+        let bits = along_y[x..x + width].iter().fold(0xffff, |all, rows| all & rows[y]);
+        clear[number / 4] |= u64::from(bits) << (EDGE * (number % 4));
+    }
+    clear
+}
+
+/// Offsets to all voxels up to so many to each side.
+fn around(reach: i32) -> impl Iterator<Item = IVec3> {
+    let edge = 2 * reach + 1;
+    (0..edge.pow(3)).map(move |i| IVec3::new(i / edge / edge, i / edge % edge, i % edge) - reach)
 }
 
 /// Tells scan by scan which returns move.
 #[derive(Clone, Debug)]
 pub struct Moving {
     config: MovingConfig,
-    chunks: HashMap<IVec3, Box<[Voxel; VOXELS]>, FxBuildHasher>,
+    chunks: HashMap<IVec3, Chunk, FxBuildHasher>,
 }
 
 impl Moving {
@@ -116,12 +187,7 @@ impl Moving {
     fn moving(&self, hits: &HashMap<IVec3, usize, FxBuildHasher>) -> HashSet<IVec3, FxBuildHasher> {
         let mut voxels: Vec<IVec3> = hits.keys().copied().filter(|voxel| self.is_free(*voxel)).collect();
         voxels.par_sort_unstable_by_key(IVec3::to_array);
-        let around = |reach: i32| {
-            let edge = 2 * reach + 1;
-            (0..edge.pow(3)).map(move |i| IVec3::new(i % edge, i / edge % edge, i / edge / edge) - reach)
-        };
-        let is_seed = |voxel: &IVec3| around(SEED_REACH).all(|offset| self.is_free(*voxel + offset));
-        let seeds: Vec<IVec3> = voxels.par_iter().copied().filter(is_seed).collect();
+        let seeds: Vec<IVec3> = voxels.iter().copied().filter(|voxel| self.is_clear(*voxel)).collect();
         let free: HashSet<IVec3, FxBuildHasher> = voxels.into_iter().collect();
         let mut moving: HashSet<IVec3, FxBuildHasher> = seeds.iter().copied().collect();
         let mut last = seeds;
@@ -166,47 +232,156 @@ impl Moving {
         kept
     }
 
+    fn chunk(&self, voxel: IVec3) -> Option<&Chunk> {
+        self.chunks.get(&(voxel >> CHUNK.trailing_zeros()))
+    }
+
     fn is_free(&self, voxel: IVec3) -> bool {
-        let chunk = self.chunks.get(&(voxel >> CHUNK.trailing_zeros()));
-        chunk.is_some_and(|chunk| chunk[number(voxel)].passed >= self.config.free_after)
+        self.chunk(voxel).is_some_and(|chunk| has(&chunk.free, number(voxel)))
+    }
+
+    fn is_clear(&self, voxel: IVec3) -> bool {
+        self.chunk(voxel).is_some_and(|chunk| has(&chunk.clear, number(voxel)))
     }
 
     /// Counts what passed, and what ended.
     fn remember(&mut self, marks: Marks, moving: &HashSet<IVec3, FxBuildHasher>) {
-        let still_after = self.config.still_after;
-        let mut touched: Vec<_> = marks
+        struct Touched {
+            index: IVec3,
+            marks: ChunkMarks,
+            chunk: Chunk,
+            /// Whether more voxels are free than before.
+            is_freer: bool,
+            /// Voxels in which something thin was missed.
+            missed: Vec<IVec3>,
+        }
+        let MovingConfig {
+            still_after,
+            free_after,
+            ..
+        } = self.config;
+        let mut touched: Vec<Touched> = marks
             .into_chunks()
-            .map(|(index, marks)| {
-                let known = self
-                    .chunks
-                    .remove(&index)
-                    .unwrap_or_else(|| Box::new([Voxel::default(); VOXELS]));
-                (index, marks, known)
+            .map(|(index, marks)| Touched {
+                chunk: self.chunks.remove(&index).unwrap_or_default(),
+                index,
+                marks,
+                is_freer: false,
+                missed: Vec::new(),
             })
             .collect();
-        touched.par_iter_mut().for_each(|(index, marks, known)| {
-            for (word, (passed, hit)) in marks.words().enumerate() {
+        touched.par_iter_mut().for_each(|touched| {
+            let Chunk { voxels, free, clear } = &mut touched.chunk;
+            for (word, (passed, hit)) in touched.marks.words().enumerate() {
                 bits(hit, |bit| {
-                    let at = word * 64 + bit;
-                    let voxel = &mut known[at];
+                    let (at, mask) = (word * 64 + bit, 1_u64 << bit);
+                    let voxel = &mut voxels[at];
                     voxel.visited = voxel.visited.saturating_add(1);
-                    if voxel.visited > still_after || !moving.contains(&voxel_of(*index, at)) {
-                        *voxel = Voxel::default();
+                    let place = voxel_of(touched.index, at);
+                    if voxel.visited > still_after || !moving.contains(&place) {
+                        let was_free = free[word] & mask != 0 || voxel.missed > 0;
+                        let missed = if was_free { voxel.missed.saturating_add(1) } else { 0 };
+                        if missed == MISSED {
+                            touched.missed.push(place);
+                        }
+                        *voxel = Voxel {
+                            missed,
+                            ..Voxel::default()
+                        };
+                        free[word] &= !mask;
+                        clear[word] &= !mask;
                     }
                 });
                 bits(passed & !hit, |bit| {
-                    let voxel = &mut known[word * 64 + bit];
+                    let voxel = &mut voxels[word * 64 + bit];
                     voxel.passed = voxel.passed.saturating_add(1);
                     voxel.visited = 0;
+                    if voxel.passed == free_after {
+                        free[word] |= 1 << bit;
+                        touched.is_freer = true;
+                    }
                 });
             }
         });
-        self.chunks
-            .extend(touched.into_iter().map(|(index, _, known)| (index, known)));
+        let mut freer: HashSet<IVec3, FxBuildHasher> = HashSet::default();
+        let mut missed = Vec::new();
+        for touched in touched {
+            if touched.is_freer {
+                freer.extend(around(1).map(|offset| touched.index + offset));
+            }
+            missed.extend(touched.missed);
+            self.chunks.insert(touched.index, touched.chunk);
+        }
+        let freer: Vec<IVec3> = freer.into_iter().collect();
+        let of = |index: &IVec3| {
+            self.chunks.get(index)?;
+            let mut beside = [None; 27];
+            for (place, offset) in beside.iter_mut().zip(around(1)) {
+                *place = self.chunks.get(&(*index + offset)).map(|chunk| &chunk.free);
+            }
+            Some((*index, clear(&beside)))
+        };
+        let clearer: Vec<(IVec3, Bits)> = freer.par_iter().filter_map(of).collect();
+        for (index, more) in clearer {
+            if let Some(chunk) = self.chunks.get_mut(&index) {
+                chunk
+                    .clear
+                    .iter_mut()
+                    .zip(more)
+                    .for_each(|(clear, more)| *clear |= more);
+            }
+        }
+        for voxel in missed
+            .into_iter()
+            .flat_map(|voxel| around(REACH).map(move |offset| voxel + offset))
+        {
+            if let Some(chunk) = self.chunks.get_mut(&(voxel >> CHUNK.trailing_zeros())) {
+                let number = number(voxel);
+                chunk.clear[number / 64] &= !(1 << (number % 64));
+            }
+        }
     }
 
     /// Bytes of all voxels.
     pub fn memory_bytes(&self) -> usize {
-        self.chunks.len() * VOXELS * size_of::<Voxel>()
+        self.chunks.len() * (VOXELS * size_of::<Voxel>() + size_of::<Chunk>())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Bits against a look at each voxel around.
+        #[test]
+        fn voxels_are_clear_whose_neighbours_are_all_free(
+            taken in prop::collection::vec((-20..36_i32, -20..36_i32, -20..36_i32), 0..60),
+            without in prop::collection::vec(0..27_usize, 0..3),
+        ) {
+            let taken: HashSet<IVec3> = taken.into_iter().map(IVec3::from).collect();
+            let missing: Vec<IVec3> = without.iter().filter_map(|i| around(1).nth(*i)).collect();
+            let is_free = |voxel: IVec3| !taken.contains(&voxel) && !missing.contains(&(voxel >> 4));
+            let chunks: Vec<Bits> = around(1)
+                .map(|index| {
+                    let mut free = [0; VOXELS / 64];
+                    for at in (0..VOXELS).filter(|at| is_free(voxel_of(index, *at))) {
+                        free[at / 64] |= 1 << (at % 64);
+                    }
+                    free
+                })
+                .collect();
+            let beside: Vec<Option<&Bits>> =
+                around(1).zip(&chunks).map(|(index, bits)| (!missing.contains(&index)).then_some(bits)).collect();
+            let found = clear(&beside.try_into().unwrap());
+            for at in 0..VOXELS {
+                let voxel = voxel_of(IVec3::ZERO, at);
+                let expected = around(REACH).all(|offset| is_free(voxel + offset));
+                prop_assert_eq!(has(&found, at), expected, "{}", voxel);
+            }
+        }
     }
 }

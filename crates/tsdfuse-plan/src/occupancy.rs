@@ -11,6 +11,7 @@ use tsdfuse::glam::{DVec3, IVec3};
 use tsdfuse::index::Grid;
 use tsdfuse::scan::ScanError;
 
+use crate::dense::Dense;
 use crate::error::{PlanError, check_rays};
 use crate::marks::{CHUNK, VOXELS, bits, number, voxel_of};
 use crate::rays::Rays;
@@ -152,6 +153,16 @@ impl Occupancy {
         self.known().fold(None, |bounds, (voxel, _)| {
             let (low, high) = bounds.unwrap_or((voxel, voxel));
             Some((low.min(voxel), high.max(voxel)))
+        })
+    }
+
+    /// All that is known as an array.
+    ///
+    /// # Errors
+    /// [`PlanError`] if it would have more than 2³¹ voxels.
+    pub fn dense(&self) -> Result<Dense<State>, PlanError> {
+        Dense::of(State::Unknown, |visit| {
+            self.known().for_each(|(voxel, state)| visit(voxel, state));
         })
     }
 

@@ -185,3 +185,40 @@ fn options_that_make_no_sense_are_refused() {
         "max_range_m = 1000000000: more than 0, and less than 100,000 voxels"
     );
 }
+
+#[test]
+fn an_array_holds_what_is_known() {
+    let mut occupancy = Occupancy::new(OccupancyConfig::default()).unwrap();
+    let nothing = occupancy.dense().unwrap();
+    assert_eq!((nothing.size, nothing.get(IVec3::ZERO)), ([0; 3], None));
+    occupancy
+        .integrate(&scan_of(Pose::IDENTITY, all_around(2.0, 5000)))
+        .unwrap();
+    let dense = occupancy.dense().unwrap();
+    assert_eq!(dense.values.len(), dense.size.iter().product());
+    let end = dense.low + IVec3::from(dense.size.map(|edge| edge as i32));
+    for voxel in [
+        dense.low - 1,
+        dense.low,
+        end - 1,
+        end,
+        IVec3::ZERO,
+        IVec3::splat(i32::MAX),
+    ] {
+        let is_inside = voxel.cmpge(dense.low).all() && voxel.cmplt(end).all();
+        assert_eq!(
+            dense.get(voxel).copied(),
+            is_inside.then(|| occupancy.state(voxel)),
+            "{voxel}"
+        );
+    }
+    let known = dense.values.iter().filter(|state| **state != State::Unknown).count();
+    assert_eq!(known, occupancy.known().count());
+    // Two places far apart make too large a box.
+    let far = Pose {
+        translation: DVec3::new(1e6, 1e6, 0.0),
+        ..Pose::IDENTITY
+    };
+    occupancy.integrate(&scan_of(far, all_around(2.0, 10))).unwrap();
+    assert!(occupancy.dense().unwrap_err().to_string().contains("no more than"));
+}

@@ -96,6 +96,11 @@ pub(crate) trait Backend: Send {
     /// The whole surface, once all scans are in the map.
     fn mesh(&mut self, config: &MeshConfig) -> Result<Mesh>;
 
+    /// As [`Self::mesh`], also of a map that is not all in memory; then vertices come cube by cube.
+    fn whole_mesh(&mut self, config: &MeshConfig) -> Result<Mesh> {
+        self.mesh(config)
+    }
+
     /// Extracts the surface, which must not be empty, and writes it with what layers tell of it; `scene` is what a page shows beside it.
     fn write_surface(&mut self, config: &MeshConfig, path: &Path, scene: &Scene, layers: &Layers)
     -> Result<MeshReport>;

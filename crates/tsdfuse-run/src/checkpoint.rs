@@ -7,6 +7,7 @@ use tsdfuse::SensorModel;
 
 use crate::config::RunConfig;
 use crate::error::{Result, RunError};
+use crate::intensity::RangeResponse;
 use crate::job::Job;
 use crate::report::{SkippedScan, Sums};
 
@@ -31,6 +32,9 @@ pub struct Checkpoint {
     pub sums: Sums,
     /// Those that were skipped.
     pub skipped: Vec<SkippedScan>,
+    /// What was learnt of how the sensor reports intensities, if they are averaged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub response: Option<RangeResponse>,
 }
 
 impl Checkpoint {

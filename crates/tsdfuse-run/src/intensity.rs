@@ -12,10 +12,12 @@
 //! Returns are corrected for the angle at which they hit (Lambert), and for the range: sensors differ in how much of that they do
 //! themselves, so it is learnt from surface that is seen again from elsewhere ([`RangeResponse`]).
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tsdfuse::glam::DVec3;
+use serde::{Deserialize, Serialize};
+use tsdfuse::glam::{DVec3, IVec3};
 use tsdfuse::{MapConfig, Scan, VoxelMap};
 use tsdfuse_view::{Channel, Ramp};
 
@@ -45,69 +47,197 @@ fn encode(intensity: f32) -> f32 {
 
 /// How much stronger a sensor reports the same surface at some ranges than at others.
 ///
-/// Each return of surface that was seen before tells by how much its intensity differs from the mean so far. For each range, the mean of
-/// these (of their logarithms, glints cut off) is taken back from later returns; over all ranges they are 1 in the mean.
-#[derive(Clone, Debug)]
+/// A return of voxel v from range r has, after correction for its angle, the logarithm of its intensity a(v) + b(r): each voxel has a strength
+/// of its own, and the sensor one response b, which is linear in log r between knots. Both by least squares over a sample of voxels that are seen
+/// from several ranges; their strengths are eliminated from the normal equations (fixed effects, as econometrics calls it). Over all returns, b
+/// is 0 in the mean.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RangeResponse {
-    /// Logarithms of the factors, of ranges from 2^(i/[`PER_OCTAVE`]) m on.
-    logs: [f32; BINS],
-    /// Returns that told them.
-    seen: [f64; BINS],
+    /// b at ranges of 2^(i/[`PER_OCTAVE`]) m.
+    logs: Vec<f64>,
+    /// The normal equations of b, row by row, and their right side.
+    normal: Vec<f64>,
+    right: Vec<f64>,
+    /// Weights of returns at each knot.
+    seen: Vec<f64>,
+    #[serde(with = "listed")]
+    voxels: BTreeMap<[i32; 3], Seen>,
+}
+
+/// What was seen of a voxel: the number of returns, the sum of the logarithms, and the weights of returns at each knot, where they are not 0.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Seen {
+    count: f64,
+    sum: f64,
+    knots: Vec<(usize, f64)>,
+}
+
+/// A map with keys that are no text, for JSON.
+mod listed {
+    use std::collections::BTreeMap;
+
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use super::Seen;
+
+    type Voxels = BTreeMap<[i32; 3], Seen>;
+
+    pub(super) fn serialize<S: Serializer>(voxels: &Voxels, serializer: S) -> Result<S::Ok, S::Error> {
+        voxels.iter().collect::<Vec<_>>().serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'a, D: Deserializer<'a>>(deserializer: D) -> Result<Voxels, D::Error> {
+        Ok(Vec::deserialize(deserializer)?.into_iter().collect())
+    }
 }
 
 /// Ranges from 1 m to 256 m, so many to twice the range.
 const PER_OCTAVE: f32 = 4.0;
-const BINS: usize = 33;
+const KNOTS: usize = 33;
 
-/// Returns after which a factor is as good as it gets, and at which it is half believed.
-const ENOUGH: f64 = 20_000.0;
+/// One of so many voxels is looked at, and no more than this in all.
+const ONE_OF: u64 = 64;
+const MOST_VOXELS: usize = 16_384;
+
+/// Neighbouring knots are held together by as much as so many returns could tell: those that no return has seen follow the others.
+const STIFFNESS: f64 = 2.0;
+
+/// Returns that are farther than this from what is expected of their voxel count as if they were this far: glints.
+const MOST_OFF: f64 = 1.5;
 
 /// Factors from this to its inverse are possible.
-const MOST_LOG: f32 = 1.6;
+const MOST_LOG: f64 = 2.5;
 
 impl Default for RangeResponse {
     fn default() -> Self {
         Self {
-            logs: [0.0; BINS],
-            seen: [0.0; BINS],
+            logs: vec![0.0; KNOTS],
+            normal: vec![0.0; KNOTS * KNOTS],
+            right: vec![0.0; KNOTS],
+            seen: vec![0.0; KNOTS],
+            voxels: BTreeMap::new(),
         }
     }
 }
 
-impl RangeResponse {
-    fn bin(range_m: f32) -> usize {
-        // A conversion saturates.
-        ((PER_OCTAVE * range_m.log2()) as usize).min(BINS - 1)
-    }
+/// The two knots beside a range, with their shares.
+fn knots(range_m: f32) -> [(usize, f64); 2] {
+    let place = f64::from(PER_OCTAVE * range_m.log2()).clamp(0.0, (KNOTS - 1) as f64);
+    let first = (place as usize).min(KNOTS - 2);
+    let share = place - first as f64;
+    [(first, 1.0 - share), (first + 1, share)]
+}
 
+/// Whether a voxel is one of those that are looked at.
+fn is_sampled(voxel: IVec3) -> bool {
+    let [x, y, z] = voxel.to_array().map(|i| i as u64);
+    let mixed = x.wrapping_mul(0x9E37_79B9_7F4A_7C15)
+        ^ y.wrapping_mul(0xC2B2_AE3D_27D4_EB4F)
+        ^ z.wrapping_mul(0x1656_67B1_9E37_79F9);
+    ((mixed ^ (mixed >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 40).is_multiple_of(ONE_OF)
+}
+
+impl RangeResponse {
     /// By how much stronger than on average a surface is reported at a range.
     pub fn at(&self, range_m: f32) -> f32 {
-        self.logs[Self::bin(range_m)].exp()
+        knots(range_m)
+            .map(|(knot, share)| share * self.logs[knot])
+            .iter()
+            .sum::<f64>()
+            .exp() as f32
     }
 
-    /// Learns from returns: their ranges, and the logarithms of how much stronger they are, after correction, than the surface so far.
-    fn learn(&mut self, returns: impl IntoIterator<Item = (f32, f32)>) {
-        let mut sums = [(0.0_f64, 0.0_f64); BINS];
-        for (range_m, off) in returns {
-            let (sum, count) = &mut sums[Self::bin(range_m)];
-            (*sum, *count) = (*sum + f64::from(off.clamp(-1.0, 1.0)), *count + 1.0);
+    /// Learns from returns: their voxels, ranges, and the logarithms of their intensities, corrected for the angle.
+    fn learn(&mut self, returns: impl IntoIterator<Item = (IVec3, f32, f64)>) {
+        for (voxel, range_m, log) in returns {
+            self.see(voxel, range_m, log);
         }
-        for (i, (sum, count)) in sums.into_iter().enumerate().filter(|(_, (_, count))| *count > 0.0) {
-            self.seen[i] += count;
-            let share = (count / self.seen[i].clamp(1.0, ENOUGH)).min(0.5);
-            self.logs[i] = (self.logs[i] + (share * sum / count) as f32).clamp(-MOST_LOG, MOST_LOG);
+        self.solve();
+    }
+
+    fn see(&mut self, voxel: IVec3, range_m: f32, log: f64) {
+        let is_known = self.voxels.contains_key(&voxel.to_array());
+        if !is_known && self.voxels.len() >= MOST_VOXELS {
+            return;
+        }
+        let mut seen = self.voxels.remove(&voxel.to_array()).unwrap_or_default();
+        let at = knots(range_m);
+        let mut log = log;
+        if seen.count >= 3.0 {
+            let response =
+                |knots: &[(usize, f64)]| knots.iter().map(|(knot, share)| share * self.logs[*knot]).sum::<f64>();
+            let expected = (seen.sum - response(&seen.knots)) / seen.count + response(&at);
+            log = log.clamp(expected - MOST_OFF, expected + MOST_OFF);
+        }
+        // The voxel's strength is eliminated: what all its returns have in common tells nothing.
+        self.eliminate(&seen, -1.0);
+        for (knot, share) in at {
+            for (other, other_share) in at {
+                self.normal[knot * KNOTS + other] += share * other_share;
+            }
+            self.right[knot] += share * log;
+            self.seen[knot] += share;
+            match seen.knots.iter_mut().find(|(of, _)| *of == knot) {
+                Some((_, sum)) => *sum += share,
+                None => seen.knots.push((knot, share)),
+            }
+        }
+        seen.count += 1.0;
+        seen.sum += log;
+        self.eliminate(&seen, 1.0);
+        self.voxels.insert(voxel.to_array(), seen);
+    }
+
+    fn eliminate(&mut self, seen: &Seen, sign: f64) {
+        if seen.count == 0.0 {
+            return;
+        }
+        for (knot, share) in &seen.knots {
+            for (other, other_share) in &seen.knots {
+                self.normal[knot * KNOTS + other] -= sign * share * other_share / seen.count;
+            }
+            self.right[*knot] -= sign * share * seen.sum / seen.count;
+        }
+    }
+
+    /// Solves the normal equations (Cholesky).
+    fn solve(&mut self) {
+        let mut matrix = self.normal.clone();
+        for knot in 0..KNOTS {
+            matrix[knot * KNOTS + knot] += 1e-6;
+        }
+        for knot in 1..KNOTS {
+            let (a, b) = (knot - 1, knot);
+            for (row, column, sign) in [(a, a, 1.0), (b, b, 1.0), (a, b, -1.0), (b, a, -1.0)] {
+                matrix[row * KNOTS + column] += sign * STIFFNESS;
+            }
+        }
+        let mut logs = self.right.clone();
+        for row in 0..KNOTS {
+            for column in 0..=row {
+                let dot: f64 = (0..column)
+                    .map(|k| matrix[row * KNOTS + k] * matrix[column * KNOTS + k])
+                    .sum();
+                let rest = matrix[row * KNOTS + column] - dot;
+                matrix[row * KNOTS + column] = match row == column {
+                    true => rest.max(1e-12).sqrt(),
+                    false => rest / matrix[column * KNOTS + column],
+                };
+            }
+            let dot: f64 = (0..row).map(|k| matrix[row * KNOTS + k] * logs[k]).sum();
+            logs[row] = (logs[row] - dot) / matrix[row * KNOTS + row];
+        }
+        for row in (0..KNOTS).rev() {
+            let dot: f64 = (row + 1..KNOTS).map(|k| matrix[k * KNOTS + row] * logs[k]).sum();
+            logs[row] = (logs[row] - dot) / matrix[row * KNOTS + row];
         }
         // What is the same at all ranges is the surface's own.
         let weight: f64 = self.seen.iter().sum();
-        let mean = self
-            .logs
-            .iter()
-            .zip(&self.seen)
-            .map(|(log, seen)| f64::from(*log) * seen)
-            .sum::<f64>()
-            / weight.max(1.0);
-        let known = self.logs.iter_mut().zip(&self.seen).filter(|(_, seen)| **seen > 0.0);
-        known.for_each(|(log, _)| *log -= mean as f32);
+        let mean = logs.iter().zip(&self.seen).map(|(log, seen)| log * seen).sum::<f64>() / weight.max(1.0);
+        self.logs = logs
+            .into_iter()
+            .map(|log| (log - mean).clamp(-MOST_LOG, MOST_LOG))
+            .collect();
     }
 }
 
@@ -168,13 +298,13 @@ impl Intensity {
     }
 
     /// Reads the layer of a store that was committed with so many scans.
-    pub(crate) fn read_beside_store(store: &Path, done: usize) -> Result<Self> {
+    pub(crate) fn read_beside_store(store: &Path, done: usize, response: RangeResponse) -> Result<Self> {
         for name in ["intensity", "intensity-next"] {
             let path = path_beside(store, name);
             if path.is_file() {
                 let layer = Self::read(&path)?;
                 if layer.layer.scans() == done {
-                    return Ok(layer);
+                    return Ok(Self { response, ..layer });
                 }
             }
         }
@@ -219,9 +349,10 @@ impl Intensity {
             range_m: f32,
             intensity: f32,
             weight: f32,
-            /// The logarithm of how much stronger it is than what was there.
-            off: Option<f32>,
+            /// If it is looked at: its voxel, and the logarithm of its intensity, corrected for the angle.
+            told: Option<(IVec3, f64)>,
         }
+        let grid = map.grid();
         let correct = |(&(point, eye), &intensity): (&(DVec3, DVec3), &f32)| {
             if !(intensity >= 0.0 && intensity.is_finite()) {
                 return None;
@@ -229,26 +360,27 @@ impl Intensity {
             let gradient = map.sample(point).map(|sample| sample.gradient.normalize_or_zero());
             let way = (eye - point).as_vec3();
             let range_m = way.length();
+            let known = gradient.map(|normal| normal.dot(way / range_m).abs());
             // Where the map knows no direction, the return counts as one of mean incidence.
-            let cos = gradient
-                .map_or(0.7, |normal| normal.dot(way / range_m).abs())
-                .max(LEAST_COS);
-            let intensity = intensity / cos / self.response.at(range_m);
-            let before = self.layer.exactly_at(point).map(decode);
-            let off = before.filter(|before| *before > 0.5 && intensity > 0.5);
+            let cos = known.unwrap_or(0.7).max(LEAST_COS);
+            let upright = intensity / cos;
+            let is_clear = known.is_some_and(|cos| cos > LEAST_COS) && upright > 0.5;
+            let voxel = grid.anchor(point).map(|anchor| anchor.split().0);
+            let told = voxel.filter(|voxel| is_clear && is_sampled(*voxel));
             Some(Corrected {
                 point,
                 range_m,
-                intensity,
+                intensity: upright / self.response.at(range_m),
                 weight: cos,
-                off: off.map(|before| (intensity / before).ln()),
+                told: told.map(|voxel| (voxel, f64::from(upright).ln())),
             })
         };
         let corrected: Vec<Option<Corrected>> = returns.par_iter().zip(intensities).map(correct).collect();
         let known = || corrected.iter().flatten();
         self.layer
             .add(known().map(|r| (r.point, encode(r.intensity), r.weight)))?;
-        self.response.learn(known().filter_map(|r| Some((r.range_m, r.off?))));
+        let told = known().filter_map(|r| r.told.map(|(voxel, log)| (voxel, r.range_m, log)));
+        self.response.learn(told);
         Ok(true)
     }
 
@@ -389,12 +521,49 @@ mod tests {
         };
         let scans: Vec<Scan> = (0..72).map(scan).collect();
         let (_, layer) = fused(&scans);
-        // From 20 m to 5 m, reports grow to four times as much.
-        let learnt = layer.response().at(5.0) / layer.response().at(18.0);
-        assert!((2.5..5.5).contains(&learnt), "{learnt}");
+        for (near, far) in [(5.0, 18.0), (5.0, 9.0), (9.0, 18.0)] {
+            let learnt = layer.response().at(near) / layer.response().at(far);
+            assert!((learnt * near / far - 1.0).abs() < 0.05, "{near} {far}: {learnt}");
+        }
         // What both halves of the wall have in common does not matter: one is three times as bright.
         let [dark, bright] = [0.8, -0.8].map(|y| layer.at(DVec3::new(0.0, y, 0.3)).unwrap());
         assert!((bright / dark - 3.0).abs() < 0.6, "{dark} {bright}");
+    }
+
+    /// Voxels of all strengths, each seen from some ranges; bright ones from afar, as by a sensor that turns its power up for dark ones.
+    #[test]
+    fn strengths_of_voxels_do_not_pass_for_the_response() {
+        let truth = |range_m: f64| 0.4 * (range_m / 20.0).ln() - 0.8 * (range_m / 40.0).powi(2);
+        let mut response = RangeResponse::default();
+        let random =
+            |seed: u64| f64::from((seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as u32) / f64::from(1 << 24);
+        for scan in 0..20_u64 {
+            let returns = (0..400_u64).map(|i| {
+                let first = 4.0 + 50.0 * random(i);
+                let range_m = first * (1.0 - 0.03 * scan as f64);
+                let noise = 0.3 * (random(1000 * scan + 31 * i) - 0.5) + if (i + scan) % 97 == 0 { 5.0 } else { 0.0 };
+                let strength = 0.05 * first + 2.0 * random(7 * i);
+                (
+                    IVec3::new(i as i32, 0, 0),
+                    range_m as f32,
+                    strength + truth(range_m) + noise,
+                )
+            });
+            response.learn(returns);
+        }
+        for range_m in [4.0, 8.0, 16.0, 30.0, 45.0] {
+            let learnt = response.at(range_m) / response.at(10.0);
+            let wanted = (truth(f64::from(range_m)) - truth(10.0)).exp();
+            assert!(
+                (f64::from(learnt) / wanted - 1.0).abs() < 0.08,
+                "{range_m}: {learnt} {wanted}"
+            );
+        }
+        let json = serde_json::to_vec(&response).unwrap();
+        assert_eq!(serde_json::from_slice::<RangeResponse>(&json).unwrap(), response);
+        // No more voxels are kept than these.
+        response.learn((0..MOST_VOXELS as i32 + 9).map(|i| (IVec3::new(i, 1, 0), 5.0, 1.0)));
+        assert_eq!(response.voxels.len(), MOST_VOXELS);
     }
 
     #[test]

@@ -157,6 +157,7 @@ impl Job {
             &mut outputs.sensor,
             &mut outputs.preview,
             &mut outputs.report,
+            &mut outputs.recording,
         ];
         // Of a recording, this may be the name of a topic or a frame.
         let poses = job.input.options.poses.iter_mut().filter(|path| path.exists());

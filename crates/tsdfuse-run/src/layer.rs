@@ -119,12 +119,6 @@ impl Layer {
             .collect()
     }
 
-    /// The number of the voxel that holds a point.
-    pub(crate) fn exactly_at(&self, point: DVec3) -> Option<f32> {
-        let (voxel, _) = self.0.grid().anchor(point)?.split();
-        self.0.voxel(voxel).distance()
-    }
-
     /// The mean of the voxels around a point (world), f; `None` where nothing was measured.
     pub(crate) fn at(&self, point: DVec3) -> Option<f32> {
         let (voxel, fraction) = self.0.grid().anchor(point)?.split();

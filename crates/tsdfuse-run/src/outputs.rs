@@ -120,9 +120,6 @@ impl Outputs {
                 "--labels needs a run in one go, with the whole map in memory".to_owned(),
             ));
         }
-        if self.color {
-            return Err(wrong("--color needs the whole map in memory".to_owned()));
-        }
         if self.preview.is_some() {
             return Err(wrong("--preview needs the whole map in memory".to_owned()));
         }

@@ -148,6 +148,10 @@ impl Backend for Paged {
         ))
     }
 
+    fn whole_mesh(&mut self, config: &MeshConfig) -> Result<Mesh> {
+        surface::gather(&mut self.map, config)
+    }
+
     fn write_surface(
         &mut self,
         config: &MeshConfig,

@@ -1,18 +1,16 @@
 //! Colours of a surface, from the cameras of a log.
 //!
 //! ```text
-//!   each image ─▶ which vertices it sees: the map itself hides the others
+//!   each image ─▶ which vertices it sees: the surface itself hides the others
 //!              ─▶ how bright it is against the others, where they see the same      (exposure)
 //!              ─▶ its colour for each vertex, weighted: near and frontal views count most
 //! ```
 
 use rayon::prelude::*;
 use tsdfuse::glam::{DVec3, Vec3};
-use tsdfuse::render::{Camera, Renderer, View};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::{Mesh, Pose};
 use tsdfuse_io::photo::{self, Photo};
-use tsdfuse_io::rgbd::OPTICAL_FROM_SENSOR;
 use tsdfuse_io::{ImageRef, Log};
 
 use crate::error::{Result, RunError};
@@ -62,15 +60,14 @@ struct Shot<'a> {
     image: &'a ImageRef,
     camera_from_world: Pose,
     eye: DVec3,
-    view: View,
-    coarse: Pinhole,
+    depths: Depths,
 }
 
-/// Finds the colours of a mesh that was extracted from the renderer's map.
+/// Finds the colours of a mesh of voxels of this size.
 ///
 /// # Errors
 /// [`RunError::Config`] if the log has no images with known poses; if an image cannot be read.
-pub fn paint(mesh: &Mesh, renderer: &Renderer<'_>, log: &Log, observer: &mut dyn Observer) -> Result<Painted> {
+pub fn paint(mesh: &Mesh, voxel_size_m: f64, log: &Log, observer: &mut dyn Observer) -> Result<Painted> {
     let usable = |(index, image): (usize, &'_ ImageRef)| image.pose.map(|_| index);
     let usable: Vec<usize> = log.images().iter().enumerate().filter_map(usable).collect();
     if usable.is_empty() {
@@ -79,14 +76,14 @@ pub fn paint(mesh: &Mesh, renderer: &Renderer<'_>, log: &Log, observer: &mut dyn
         ));
     }
     observer.on(Event::Working("colouring"));
-    let behind_m = BEHIND_VOXELS * renderer.map().config().voxel_size_m as f32;
+    let behind_m = BEHIND_VOXELS * voxel_size_m as f32;
     // First how bright the images are, by some vertices.
     let some: Vec<u32> = (0..mesh.vertices.len() as u32)
         .step_by(mesh.vertices.len() / SAMPLES + 1)
         .collect();
     let mut brightness: Vec<Vec<(u32, f32)>> = Vec::with_capacity(usable.len());
     for &index in &usable {
-        let (shot, photo) = open(log, index, renderer)?;
+        let (shot, photo) = open(log, index, mesh)?;
         let sample = |(number, &vertex): (usize, &u32)| {
             let (color, _) = shot.color(mesh, vertex as usize, &photo, behind_m)?;
             let is_clear = color.iter().all(|c| (DARK..BRIGHT).contains(c));
@@ -98,7 +95,7 @@ pub fn paint(mesh: &Mesh, renderer: &Renderer<'_>, log: &Log, observer: &mut dyn
     // Then all colours.
     let mut sums = vec![(Vec3::ZERO, 0.0_f32); mesh.vertices.len()];
     for (&index, &gain) in usable.iter().zip(&gains) {
-        let (shot, photo) = open(log, index, renderer)?;
+        let (shot, photo) = open(log, index, mesh)?;
         sums.par_iter_mut().enumerate().for_each(|(vertex, sum)| {
             if let Some((color, weight)) = shot.color(mesh, vertex, &photo, behind_m) {
                 let light = Vec3::from_array(color.map(linear)) * gain;
@@ -119,7 +116,7 @@ pub fn paint(mesh: &Mesh, renderer: &Renderer<'_>, log: &Log, observer: &mut dyn
 }
 
 /// Reads an image, and finds out what hides what from its camera.
-fn open<'a>(log: &'a Log, index: usize, renderer: &Renderer<'_>) -> Result<(Shot<'a>, Photo)> {
+fn open<'a>(log: &'a Log, index: usize, mesh: &Mesh) -> Result<(Shot<'a>, Photo)> {
     let image = &log.images()[index];
     let photo = photo::decode(&image.name, &log.read_image(index)?)?;
     let Pinhole {
@@ -146,14 +143,12 @@ fn open<'a>(log: &'a Log, index: usize, renderer: &Renderer<'_>) -> Result<(Shot
         cx: (cx + 0.5) / scale - 0.5,
         cy: (cy + 0.5) / scale - 0.5,
     };
-    let world_from_sensor = pose * OPTICAL_FROM_SENSOR;
-    let view = renderer.view(&Camera::Pinhole(coarse), world_from_sensor)?;
+    let camera_from_world = pose.inverse();
     let shot = Shot {
         image,
-        camera_from_world: pose.inverse(),
         eye: pose.translation,
-        view,
-        coarse,
+        depths: Depths::of(mesh, &coarse, &camera_from_world),
+        camera_from_world,
     };
     Ok((shot, photo))
 }
@@ -196,21 +191,101 @@ impl Shot<'_> {
     fn is_hidden(&self, [u, v]: [f32; 2], depth_m: f32, behind_m: f32) -> bool {
         let scale = COARSER as f32;
         let (column, row) = (((u + 0.5) / scale - 0.5).round(), ((v + 0.5) / scale - 0.5).round());
-        let (column, row) = (column.max(0.0) as usize, row.max(0.0) as usize);
-        let (column, row) = (
-            column.min(self.coarse.width as usize - 1),
-            row.min(self.coarse.height as usize - 1),
-        );
+        let depths = &self.depths;
+        let column = (column.max(0.0) as usize).min(depths.width - 1);
+        let row = (row.max(0.0) as usize).min(depths.height - 1);
         // At the edge of something near, neighbouring pixels see it first: it hides a little more than it should.
-        let near = |column: usize, row: usize| self.view.hit(column, row).map_or(f32::INFINITY, |hit| hit.depth_m);
         let around = (row.saturating_sub(1)..=row + 1)
             .flat_map(|row| (column.saturating_sub(1)..=column + 1).map(move |column| (column, row)));
         let first = around
-            .map(|(column, row)| near(column, row))
+            .map(|(column, row)| depths.at(column, row))
             .fold(f32::INFINITY, f32::min);
         // Grazing surface is much deeper within three pixels.
-        let here = near(column, row);
-        depth_m > here + behind_m || depth_m > first + 0.05 * depth_m + 4.0 * behind_m
+        depth_m > depths.at(column, row) + behind_m || depth_m > first + 0.05 * depth_m + 4.0 * behind_m
+    }
+}
+
+/// Along the optical axis, how far the first surface is that each pixel sees.
+struct Depths {
+    width: usize,
+    height: usize,
+    /// Row by row; infinite where a pixel sees none.
+    metres: Vec<f32>,
+}
+
+/// Surface nearer than this to a camera hides nothing, metres.
+const NEAREST_M: f32 = 0.1;
+
+impl Depths {
+    /// Triangle by triangle. The nearest one counts, in whatever order they come.
+    fn of(mesh: &Mesh, camera: &Pinhole, camera_from_world: &Pose) -> Self {
+        let (width, height) = (camera.width as usize, camera.height as usize);
+        let corner = |vertex: &DVec3| {
+            let seen = camera_from_world.transform_point(*vertex).as_vec3();
+            let inverse = 1.0 / seen.z;
+            let pixel = Vec3::new(
+                camera.fx * seen.x * inverse + camera.cx,
+                camera.fy * seen.y * inverse + camera.cy,
+                inverse,
+            );
+            (NEAREST_M..2.0 * FARTHEST_M).contains(&seen.z).then_some(pixel)
+        };
+        let corners: Vec<Option<Vec3>> = mesh.vertices.par_iter().map(corner).collect();
+        let each = mesh.triangles.len().div_ceil(rayon::current_num_threads()).max(1);
+        let parts = mesh.triangles.par_chunks(each).map(|triangles| {
+            let mut inverse = vec![0.0_f32; width * height];
+            for triangle in triangles {
+                if let [Some(a), Some(b), Some(c)] = triangle.map(|vertex| corners[vertex as usize]) {
+                    fill(&mut inverse, [width, height], [a, b, c]);
+                }
+            }
+            inverse
+        });
+        let nearest = parts.reduce(Vec::new, |mut a, b| {
+            if a.is_empty() {
+                return b;
+            }
+            a.iter_mut().zip(b).for_each(|(a, b)| *a = a.max(b));
+            a
+        });
+        Self {
+            width,
+            height,
+            metres: nearest.into_iter().map(f32::recip).collect(),
+        }
+    }
+
+    /// Beyond the picture, nothing is seen.
+    fn at(&self, column: usize, row: usize) -> f32 {
+        let place = Some(row * self.width + column).filter(|_| column < self.width);
+        place
+            .and_then(|at| self.metres.get(at))
+            .copied()
+            .unwrap_or(f32::INFINITY)
+    }
+}
+
+/// Draws a triangle whose corners are column, row, and inverse depth, which is linear in both.
+fn fill(nearest: &mut [f32], [width, height]: [usize; 2], [a, b, c]: [Vec3; 3]) {
+    let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+    // Conversions saturate.
+    let columns = low.x.ceil().max(0.0) as usize..((high.x.floor() + 1.0).max(0.0) as usize).min(width);
+    let rows = low.y.ceil().max(0.0) as usize..((high.y.floor() + 1.0).max(0.0) as usize).min(height);
+    let (ab, ac) = (b - a, c - a);
+    let area = ab.x * ac.y - ab.y * ac.x;
+    if columns.is_empty() || rows.is_empty() || area == 0.0 {
+        return;
+    }
+    for row in rows {
+        for column in columns.clone() {
+            let (x, y) = (column as f32 - a.x, row as f32 - a.y);
+            let (s, t) = ((x * ac.y - y * ac.x) / area, (ab.x * y - ab.y * x) / area);
+            // A little more than the triangle: no gaps between neighbours.
+            if s >= -1e-4 && t >= -1e-4 && s + t <= 1.0 + 1e-4 {
+                let pixel = &mut nearest[row * width + column];
+                *pixel = pixel.max(a.z + s * ab.z + t * ac.z);
+            }
+        }
     }
 }
 
@@ -303,6 +378,64 @@ mod tests {
         assert_eq!(gains(&[Vec::new()], 0), [1.0]);
     }
 
+    /// A tilted floor with a box before it, against rays.
+    #[test]
+    fn the_first_surface_along_each_pixel_is_found() {
+        let camera = Pinhole {
+            width: 64,
+            height: 48,
+            fx: 50.0,
+            fy: 50.0,
+            cx: 31.5,
+            cy: 23.5,
+        };
+        let floor = |u: f64, v: f64| DVec3::new(4.0 * u - 2.0, 2.0 * v - 1.0, 4.0 - 2.0 * v);
+        let wall = |u: f64, v: f64| DVec3::new(u - 0.5, v - 0.5, 2.0);
+        let mut mesh = Mesh::default();
+        for place in [&floor as &dyn Fn(f64, f64) -> DVec3, &wall] {
+            for i in 0..40 * 40 {
+                let (u, v) = (f64::from(i % 40) / 40.0, f64::from(i / 40) / 40.0);
+                let first = mesh.vertices.len() as u32;
+                let step = 1.0 / 40.0;
+                mesh.vertices
+                    .extend([(u, v), (u + step, v), (u, v + step), (u + step, v + step)].map(|(u, v)| place(u, v)));
+                mesh.triangles
+                    .extend([[first, first + 1, first + 2], [first + 3, first + 2, first + 1]]);
+            }
+        }
+        // The world is turned and moved; so is the camera.
+        let world = Pose::new(tsdfuse::glam::DQuat::from_rotation_y(0.7), DVec3::new(50.0, -3.0, 9.0)).unwrap();
+        mesh.vertices
+            .iter_mut()
+            .for_each(|vertex| *vertex = world.transform_point(*vertex));
+        let depths = Depths::of(&mesh, &camera, &world.inverse());
+        for (row, column) in (0..48).flat_map(|row| (0..64).map(move |column| (row, column))) {
+            let (x, y) = ((column as f32 - 31.5) / 50.0, (row as f32 - 23.5) / 50.0);
+            // z = 3 − y·z on the floor.
+            let z = 3.0 / (1.0 + y);
+            let is_inside = |x: f32, y: f32, by: [f32; 2]| x.abs() < by[0] && y.abs() < by[1];
+            let is_edge = |x: f32, y: f32, by: [f32; 2]| {
+                is_inside(x, y, by.map(|b| b + 0.05)) != is_inside(x, y, by.map(|b| b - 0.05))
+            };
+            if is_edge(2.0 * x, 2.0 * y, [0.5, 0.5]) || is_edge(z * x, z * y, [2.0, 1.0]) {
+                continue;
+            }
+            let expected = if is_inside(2.0 * x, 2.0 * y, [0.5, 0.5]) {
+                2.0
+            } else if is_inside(z * x, z * y, [2.0, 1.0]) {
+                z
+            } else {
+                f32::INFINITY
+            };
+            let found = depths.at(column, row);
+            assert!(
+                found == expected || (found - expected).abs() < 1e-3,
+                "{column} {row}: {found} {expected}"
+            );
+        }
+        assert_eq!((depths.at(64, 0), depths.at(0, 48)), (f32::INFINITY, f32::INFINITY));
+    }
+
     #[test]
     fn light_and_srgb_are_inverse() {
         (0..=255_u8).for_each(|value| assert_eq!(srgb(linear(f32::from(value))), value));
@@ -319,6 +452,5 @@ mod tests {
             -0.2 * radial + 0.001 * (r2 + 2.0 * 0.04) + 2.0 * -0.002 * 0.3 * -0.2,
         ];
         assert!((x - wanted[0]).abs() < 1e-6 && (y - wanted[1]).abs() < 1e-6);
-        assert!((OPTICAL_FROM_SENSOR.transform_point(DVec3::X) - DVec3::Z).length() < 1e-12);
     }
 }

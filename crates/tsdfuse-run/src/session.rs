@@ -146,6 +146,7 @@ impl Session {
             fused: 0,
             sums: Sums::default(),
             skipped: Vec::new(),
+            response: None,
         };
         let mut loading = setup.load_map.as_deref().map(Loading::open).transpose()?;
         let poses = loading.as_mut().map(Loading::take_poses).unwrap_or_default();
@@ -307,7 +308,8 @@ impl Session {
     /// The layer of intensities as it was: that of the map that is continued, or of the store at its last commit.
     fn begun_intensity(&self) -> Result<Intensity> {
         if let (Some(store), true) = (&self.setup.store, self.checkpoint.done > 0) {
-            return Intensity::read_beside_store(store, self.checkpoint.done);
+            let response = self.checkpoint.response.clone().unwrap_or_default();
+            return Intensity::read_beside_store(store, self.checkpoint.done, response);
         }
         match &self.setup.load_map {
             Some(map) => Intensity::read(&Intensity::path_beside(map)),
@@ -528,9 +530,10 @@ impl Session {
                 scan.drop_moving(&is_moving);
             }
         }
-        observer.on(Event::ScanRead { index, scan: &scan });
         self.guess_sensor(sensor, &scan);
         let dropping = start.elapsed().as_secs_f64();
+        observer.on(Event::ScanRead { index, scan: &scan });
+        let start = Instant::now();
         let next = self.next.iter().take(AHEAD).flatten();
         self.backend.prefetch(&next.copied().collect::<Vec<_>>())?;
         let settled = self.backend.fuse(sensor, &scan).map_err(|failed| match failed {
@@ -545,7 +548,7 @@ impl Session {
             read: read.read_secs,
             wait,
             prepare: dropping,
-            fuse: took - dropping,
+            fuse: took,
             points: scan.points.len() as u64 + scan.dropped.total(),
             dropped: scan.dropped,
             ..Sums::default()
@@ -693,6 +696,8 @@ impl Session {
         if let Some((layer, store)) = layer {
             layer.save_before_commit(store, self.checkpoint.done)?;
         }
+        let response = self.layers.intensity.as_ref().map(Intensity::response);
+        self.checkpoint.response = response.filter(|_| is_layered).cloned();
         let is_stored = self.backend.commit(&self.checkpoint.bytes(), &self.poses)?;
         if let (true, Some(store)) = (is_layered, self.setup.store.as_deref()) {
             Intensity::committed(store)?;
@@ -840,48 +845,40 @@ impl Session {
     }
 
     /// As [`Self::write_surface`], also with the colours that the log's cameras saw, if they are wanted; then as `.ply`, `.glb`,
-    /// `.html` or `NAME/tileset.json`. Colours stay known: [`Self::save_map`] saves them.
+    /// `.html` or `NAME/tileset.json`, and the whole mesh is in memory. Colours stay known: [`Self::save_map`] saves them.
     ///
     /// # Errors
-    /// As [`Self::write_surface`]; [`RunError::Config`] if colours are wanted and the log has no images with known poses, or the map is
-    /// not all in memory.
+    /// As [`Self::write_surface`]; [`RunError::Config`] if colours are wanted and the log has no images with known poses.
     pub fn write_painted(&mut self, path: &Path, color: bool, observer: &mut dyn Observer) -> Result<MeshReport> {
         if !color {
             return self.write_surface(path);
         }
         let start = Instant::now();
         let config = self.setup.config.mesh;
-        let mesh = self.backend.mesh(&config)?;
-        let log = &self.log;
-        let mut painted = None;
-        self.backend.viewer(config.min_weight, &mut |see| {
-            painted = Some(paint::paint(&mesh, see.renderer, log, observer)?);
-            Ok(())
-        })?;
-        if let Some(painted) = &painted {
-            let before = self.setup.load_map.as_deref().map(Colors::read_beside).transpose()?;
-            let mut colors = match before.flatten() {
-                Some(colors) => colors,
-                None => Colors::beside(&self.setup.config.map)?,
-            };
-            colors.add(&mesh, painted)?;
-            self.layers.colors = Some(colors);
-        }
+        let mesh = self.backend.whole_mesh(&config)?;
+        let painted = paint::paint(&mesh, self.setup.config.map.voxel_size_m, &self.log, observer)?;
+        let before = self.setup.load_map.as_deref().map(Colors::read_beside).transpose()?;
+        let mut colors = match before.flatten() {
+            Some(colors) => colors,
+            None => Colors::beside(&self.setup.config.map)?,
+        };
+        colors.add(&mesh, &painted)?;
+        self.layers.colors = Some(colors);
         let scene = self.scene();
         if surface::is_tileset(path) {
-            let images = painted.map(|painted| painted.images);
             let report = self.backend.write_surface(&config, path, &scene, &self.layers)?;
+            let color = ColorReport {
+                images: painted.images,
+                ..ColorReport::default()
+            };
             return Ok(MeshReport {
-                color: images.map(|images| ColorReport {
-                    images,
-                    ..ColorReport::default()
-                }),
+                color: Some(color),
                 ..report
             });
         }
         // Finer than the layers: what each vertex was seen as.
         let painting = Painting {
-            colors: painted,
+            colors: Some(painted),
             intensities: self.layers.intensity.as_ref().map(|layer| layer.of_vertices(&mesh)),
         };
         let seconds = start.elapsed().as_secs_f64();

@@ -220,12 +220,7 @@ pub fn write_in_parts_with(
     }
     if page::is_page(path) || !layers.is_empty() {
         let blocks = map.sizes().blocks as usize;
-        let mut whole = Whole(Mesh::default());
-        let extract = || {
-            map.mesh(config, &mut whole)?;
-            Ok(whole.0)
-        };
-        return write_mesh(extract, blocks, config, path, scene, layers);
+        return write_mesh(|| gather(map, config), blocks, config, path, scene, layers);
     }
     let start = Instant::now();
     let mut out = Parts(ply::Stream::new(path)?);
@@ -247,6 +242,16 @@ pub fn write_in_parts_with(
         write_seconds: start.elapsed().as_secs_f64() - seconds,
         ..MeshReport::default()
     })
+}
+
+/// The whole surface of a paged map, cube by cube.
+///
+/// # Errors
+/// If the store cannot be read.
+pub(crate) fn gather(map: &mut PagedMap, config: &MeshConfig) -> Result<Mesh> {
+    let mut whole = Whole(Mesh::default());
+    map.mesh(config, &mut whole)?;
+    Ok(whole.0)
 }
 
 /// Saves a map that is not all in memory.

@@ -73,10 +73,12 @@ impl Source for Wall {
                 ..pose
             });
         }
+        let points: Vec<Vec3> = grid.collect();
         Ok(Scan {
             name: reference.name.clone(),
             time_ns: reference.time_ns,
-            points: grid.collect(),
+            intensities: Some(points.iter().map(|point| 40.0 / point.length() + point.z).collect()),
+            points,
             pose,
             ..Scan::default()
         })
@@ -238,6 +240,51 @@ fn a_run_that_is_stopped_leaves_what_a_commit_leaves_and_goes_on() {
     assert_eq!(places(&poses), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
     let store = tsdfuse_store::PagedMap::open_read_only(job.store.as_ref().unwrap(), None).unwrap();
     assert_eq!(store.0.poses(), poses);
+}
+
+#[test]
+fn intensities_beside_a_store_go_on_as_if_nothing_had_been() {
+    let dir = tempfile::tempdir().unwrap();
+    write_log(&dir.path().join("log"), 9);
+    let job = |store: &str, map: Option<&str>| Job {
+        input: tsdfuse_run::Input {
+            path: dir.path().join("log"),
+            ..Default::default()
+        },
+        settings: raycast(),
+        store: Some(dir.path().join(store)),
+        outputs: tsdfuse_run::Outputs {
+            intensity: true,
+            map: map.map(|map| dir.path().join(map)),
+            ..Default::default()
+        },
+        commit_every: 2,
+        ..Job::default()
+    };
+    job("whole.store", Some("whole.tsdf"))
+        .run(&Stop::default(), &mut Silent)
+        .unwrap();
+    let stop = Stop::default();
+    let stopping = stop.clone();
+    let report = job("parts.store", None).run(&stop, &mut |event: Event<'_>| {
+        if let Event::ScanFused { index: 4, .. } = event {
+            stopping.stop();
+        }
+    });
+    assert!(report.unwrap().stopped);
+    let (mut again, resumed) = Job::of_store(&dir.path().join("parts.store")).unwrap();
+    again.outputs.map = Some(dir.path().join("parts.tsdf"));
+    again.resume(resumed, &Stop::default(), &mut Silent).unwrap();
+    let layer = |name: &str| std::fs::read(dir.path().join(name)).unwrap();
+    for ending in ["intensity.tsdf", "tsdf"] {
+        assert!(
+            layer(&format!("whole.{ending}")) == layer(&format!("parts.{ending}")),
+            "{ending}"
+        );
+    }
+    // What was learnt lies in the store.
+    let (_, resumed) = Job::of_store(&dir.path().join("parts.store")).unwrap();
+    assert!(resumed.checkpoint().response.is_some());
 }
 
 #[test]

@@ -28,6 +28,9 @@ pub(super) struct Args {
     /// The largest distance that is told, metres: at most 45 voxels.
     #[arg(long, value_name = "M", default_value_t = EsdfConfig::default().radius_m)]
     radius: f64,
+    /// Write one array of the whole box, NaN beyond the radius, instead of a list of voxels.
+    #[arg(long)]
+    dense: bool,
     /// Take voxels with less weight than this for no surface.
     #[arg(long, value_name = "W", default_value_t = MeshConfig::default().min_weight)]
     min_weight: f32,
@@ -55,7 +58,10 @@ impl Args {
         } else {
             fill(&mut esdf, &mut Surface::new(&map_file::read(&self.map)?, &mesh))?;
         }
-        let voxels = write(&self.output, &esdf)?;
+        let voxels = match self.dense {
+            true => write_dense(&self.output, &esdf)?,
+            false => write(&self.output, &esdf)?,
+        };
         drop(spinner);
         say(format_args!("  voxels   {}", HumanCount(voxels as u64)));
         say(format_args!("  wrote    {}", self.output.display()));
@@ -90,4 +96,19 @@ fn write(path: &Path, esdf: &Esdf) -> Result<usize> {
         arrays.finish()
     })?;
     Ok(count)
+}
+
+/// Writes the box of all voxels within the radius; how many it has.
+fn write_dense(path: &Path, esdf: &Esdf) -> Result<usize> {
+    let dense = esdf.dense()?;
+    let EsdfConfig { voxel_size_m, radius_m } = *esdf.config();
+    atomic::write(path, |out| {
+        let mut arrays = Arrays::new(out);
+        arrays.add("distances_m", &dense.size, dense.values.iter().copied())?;
+        arrays.add("low_voxel", &[3], dense.low.to_array())?;
+        arrays.add("voxel_size_m", &[], [voxel_size_m])?;
+        arrays.add("radius_m", &[], [radius_m])?;
+        arrays.finish()
+    })?;
+    Ok(dense.values.len())
 }

@@ -30,6 +30,9 @@ pub(super) struct Args {
     /// The smallest frontier that is told, voxels.
     #[arg(long, value_name = "N", default_value_t = 20, requires = "frontiers")]
     min_frontier: usize,
+    /// With .npz: one array of the whole box (0 unknown, 1 free, 2 occupied) instead of a list of known voxels.
+    #[arg(long)]
+    dense: bool,
     /// Voxel size, metres.
     #[arg(long, value_name = "M", default_value_t = OccupancyConfig::default().voxel_size_m)]
     voxel_size: f64,
@@ -91,6 +94,9 @@ impl Args {
 
     pub(super) fn run(&self) -> Result<Outcome> {
         let format = self.format()?;
+        if self.dense && !matches!(format, Format::Npz) {
+            return Err(Usage::new("--dense is for .npz").into());
+        }
         let config = OccupancyConfig {
             voxel_size_m: self.voxel_size,
             max_range_m: self.max_range,
@@ -133,6 +139,7 @@ impl Args {
                     },
                 )?;
             }
+            Format::Npz if self.dense => write_dense(&self.output, &occupancy)?,
             Format::Npz => write_arrays(&self.output, &occupancy)?,
         }
         let count = |wanted| occupancy.known().filter(|(_, state)| *state == wanted).count() as u64;
@@ -209,6 +216,24 @@ fn write_arrays(path: &Path, occupancy: &Occupancy) -> Result<()> {
         )?;
         let occupied = occupancy.known().map(|(_, state)| u8::from(state == State::Occupied));
         arrays.add("occupied", &[count], occupied)?;
+        arrays.add("voxel_size_m", &[], [occupancy.config().voxel_size_m])?;
+        arrays.finish()
+    })?;
+    Ok(())
+}
+
+/// Writes the box of all known voxels.
+fn write_dense(path: &Path, occupancy: &Occupancy) -> Result<()> {
+    let dense = occupancy.dense()?;
+    let number = |state: &State| match state {
+        State::Unknown => 0_u8,
+        State::Free => 1,
+        State::Occupied => 2,
+    };
+    atomic::write(path, |out| {
+        let mut arrays = Arrays::new(out);
+        arrays.add("states", &dense.size, dense.values.iter().map(number))?;
+        arrays.add("low_voxel", &[3], dense.low.to_array())?;
         arrays.add("voxel_size_m", &[], [occupancy.config().voxel_size_m])?;
         arrays.finish()
     })?;

@@ -19,9 +19,12 @@ mod page;
 mod paging;
 mod ply;
 mod poses;
+mod readers;
 mod render;
 mod rgbd;
 mod run;
+#[cfg(any(feature = "serve", feature = "view"))]
+mod serving;
 mod simulate;
 #[cfg(feature = "tiles")]
 mod tiles;

@@ -191,6 +191,24 @@ fn colour_images_beside_depth_images_give_the_mesh_its_colours() {
         report["mesh"]["vertices"].as_f64().unwrap(),
     );
     assert!(seen > 0.9 * all, "{seen} of {all}");
+    // The same colours where the map is not all in memory.
+    let (paged, again) = (folder.text("paged.ply"), folder.text("paged.tsdf"));
+    tsdfuse(&[
+        "fuse",
+        &set,
+        "-o",
+        &paged,
+        "--color",
+        "--save-map",
+        &again,
+        "--memory",
+        "1M",
+    ])
+    .succeeded();
+    for layer in ["red", "green", "blue"] {
+        let of = |map: &str| fs::read(folder.path(&format!("{map}.{layer}.tsdf"))).unwrap();
+        assert!(of("wall") == of("paged"), "{layer}");
+    }
     // They are saved beside the map.
     let picture = folder.text("view.png");
     tsdfuse(&[

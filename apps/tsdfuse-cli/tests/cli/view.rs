@@ -1,51 +1,8 @@
 //! Live views, in a real browser.
 
-use std::io::{BufRead, BufReader};
-use std::process::{Child, ChildStderr};
-
 use crate::browser::{Browser, chromium};
-use crate::run::{Folder, command, tsdfuse};
-
-/// A command that serves a view until it is dropped.
-struct Serving {
-    process: Child,
-    url: String,
-    told: std::io::Lines<BufReader<ChildStderr>>,
-}
-
-impl Serving {
-    fn start(arguments: &[&str]) -> Self {
-        let mut process = command(arguments).spawn().unwrap();
-        let mut told = BufReader::new(process.stderr.take().unwrap()).lines();
-        let mut lines = Vec::new();
-        let url = told.by_ref().find_map(|line| {
-            lines.push(line.ok()?);
-            Some(lines.last()?.trim().strip_prefix("view ")?.trim().to_owned())
-        });
-        assert!(url.is_some(), "no URL in {lines:?}");
-        let url = url.unwrap();
-        Self { process, url, told }
-    }
-
-    /// Interrupts it, and waits for its end.
-    #[cfg(unix)]
-    fn interrupt(mut self) -> (i32, Vec<String>) {
-        let pid = self.process.id().to_string();
-        std::process::Command::new("kill")
-            .args(["-INT", &pid])
-            .status()
-            .unwrap();
-        let code = self.process.wait().unwrap().code().unwrap();
-        (code, self.told.by_ref().map_while(Result::ok).collect())
-    }
-}
-
-impl Drop for Serving {
-    fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
+use crate::run::{Folder, tsdfuse};
+use crate::serving::Serving;
 
 #[cfg(unix)]
 #[test]
@@ -56,7 +13,10 @@ fn a_run_is_watched_while_it_grows_and_stays_until_it_is_interrupted() {
     let (mesh, plain) = (folder.text("street.ply"), folder.text("plain.ply"));
     let coarse = ["--voxel-size", "0.2", "--truncation", "0.6"];
     tsdfuse(&[&["fuse", &log, "-o", &plain][..], &coarse].concat()).succeeded();
-    let serving = Serving::start(&[&["fuse", &log, "-o", &mesh, "--view=127.0.0.1:0"][..], &coarse].concat());
+    let serving = Serving::start(
+        &[&["fuse", &log, "-o", &mesh, "--view=127.0.0.1:0"][..], &coarse].concat(),
+        "view ",
+    );
     assert!(serving.url.starts_with("http://127.0.0.1:"), "{}", serving.url);
     let mut browser = Browser::open(&chromium, &serving.url, [800, 600]);
     // In the end it shows all triangles of the mesh; watching changes no bit of it.
@@ -119,7 +79,7 @@ fn meshes_maps_and_tiles_are_viewed() {
     }
     let mut counts = Vec::new();
     for path in paths {
-        let serving = Serving::start(&["view", &path, "--address", "127.0.0.1:0"]);
+        let serving = Serving::start(&["view", &path, "--address", "127.0.0.1:0"], "view ");
         let mut browser = Browser::open(&chromium, &serving.url, [800, 600]);
         if path.ends_with(".json") {
             browser.wait("tsdfuse.state().tiles > 0");

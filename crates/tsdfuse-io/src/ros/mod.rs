@@ -31,6 +31,7 @@ mod images;
 mod lidar;
 mod map_messages;
 mod mcap;
+mod mcap_file;
 mod messages;
 mod motion;
 mod packets;
@@ -38,6 +39,9 @@ mod point_times;
 mod points;
 mod recording;
 mod schema;
+#[cfg(feature = "serve")]
+mod server;
+mod sink;
 mod survey;
 mod value;
 mod writer;
@@ -50,6 +54,8 @@ pub use map_messages::SurfacePart;
 #[cfg(test)]
 pub(crate) use mcap::MAGIC as MAGIC_MCAP;
 pub(crate) use recording::Recording;
+#[cfg(feature = "serve")]
+pub use server::Server;
 pub use writer::Writer;
 
 /// Whether there is a recording.

@@ -167,16 +167,36 @@ fn field(line: &str, current: &str) -> Result<Option<Field>, String> {
 pub(crate) fn known(kind: &str) -> Option<String> {
     let package = kind.split('/').next().unwrap_or_default();
     let short = kind.rsplit('/').next().unwrap_or_default();
-    let texts: Vec<&str> = KNOWN.split("\n===\n").collect();
-    let of = |name: &str| texts.iter().find(|text| text.lines().next() == Some(name)).copied();
-    let own = of(&format!("{package}/{short}")).or_else(|| of(&format!("*/{short}")))?;
-    let mut text: String = own.split_once('\n')?.1.to_owned();
-    for other in texts {
-        if let Some((name, fields)) = other.split_once('\n') {
-            text += &format!("\n===\nMSG: {}\n{fields}", name.replace('*', package));
+    let own = format!("{package}/{short}");
+    let mut text = fields_of(&own, package)?.to_owned();
+    let (mut told, mut done) = (vec![own], 0);
+    while let Some(current) = told.get(done).cloned() {
+        done += 1;
+        for line in fields_of(&current, package)?.lines() {
+            let Some(Field {
+                ty: Type::Named(name), ..
+            }) = field(line, &current).ok().flatten()
+            else {
+                continue;
+            };
+            if !told.contains(&name) {
+                let fields = fields_of(&name, package)?;
+                text += &format!("\n{:=<80}\nMSG: {name}\n{fields}", "");
+                told.push(name);
+            }
         }
     }
     Some(text)
+}
+
+/// The fields of a known type, line by line; some belong to any package.
+fn fields_of(name: &str, package: &str) -> Option<&'static str> {
+    let mut texts = KNOWN.split("\n===\n").filter_map(|text| text.split_once('\n'));
+    let is_it = |known: &str| match known.strip_prefix("*/") {
+        Some(short) => name.strip_prefix(package).and_then(|name| name.strip_prefix('/')) == Some(short),
+        None => known == name,
+    };
+    texts.find(|(known, _)| is_it(known)).map(|(_, fields)| fields)
 }
 
 const KNOWN: &str = include_str!("known.msg");
@@ -217,8 +237,16 @@ mod tests {
     fn all_known_definitions_parse() {
         for text in KNOWN.split("\n===\n") {
             let kind = text.lines().next().unwrap().replace('*', "any");
-            let schema = Schema::parse(&kind, &known(&kind).unwrap()).unwrap();
+            let text = known(&kind).unwrap();
+            let schema = Schema::parse(&kind, &text).unwrap();
             assert!(!schema.fields(&kind).unwrap().is_empty(), "{kind}");
+            // As ROS writes them: what a definition needs, once, behind lines of 80 signs.
+            for part in text.split(&format!("\n{}\nMSG: ", "=".repeat(80))).skip(1) {
+                let name = part.lines().next().unwrap();
+                assert_eq!(text.matches(&format!("MSG: {name}\n")).count(), 1, "{kind}: {name}");
+            }
+            assert!(!text.contains("MSG: ") || text.matches("MSG: ").count() == text.matches(&"=".repeat(80)).count());
         }
+        assert!(!known("sensor_msgs/Imu").unwrap().contains("nav_msgs"));
     }
 }

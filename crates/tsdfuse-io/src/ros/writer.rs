@@ -1,32 +1,27 @@
-//! Writing scans as MCAP: clouds as `sensor_msgs/PointCloud2`, poses as tf.
+//! Saying scans in ROS 2's messages: clouds as `sensor_msgs/PointCloud2`, poses as tf.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use mcap::WriteOptions;
-use mcap::records::MessageHeader;
 use tsdfuse::trajectory::ns_after;
 use tsdfuse::{Pose, Scan};
 
-use super::schema::known;
-use crate::atomic::AtomicFile;
+use super::mcap_file::McapFile;
+use super::sink::Sink;
 use crate::error::{Error, Result};
 use crate::point_rows;
 use crate::source::{ImuSample, Sensor};
 
 /// The frame in which the poses are.
 pub(super) const WORLD: &str = "map";
-/// Chunks that hold a sweep or two.
-const CHUNK: u64 = 4 << 20;
 
-/// Writes scans as an MCAP file, one after another: `PointCloud2` with the fields `x y z intensity time ring`, as far as the scans
+/// Writes scans as an MCAP file, or says them to who listens, one after another: `PointCloud2` with the fields `x y z intensity time ring`, as far as the scans
 /// have them, each sensor under a topic of its own, and its poses during each sweep as tf from `map`. Samples of an inertial measurement
 /// unit become `Imu`.
 ///
-/// Points, rings and times come back bit for bit, poses up to rounding. The file appears when it is finished.
+/// Points, rings and times come back bit for bit, poses up to rounding. A file appears when it is finished.
 pub struct Writer {
-    path: PathBuf,
-    mcap: mcap::Writer<AtomicFile>,
+    sink: Box<dyn Sink>,
     /// Channel, topic and frame of each sensor's clouds.
     clouds: Vec<(u16, String)>,
     tf: u16,
@@ -96,38 +91,34 @@ impl Cdr {
     }
 }
 
-/// A channel of messages of a kind that ROS defines.
-fn channel(mcap: &mut mcap::Writer<AtomicFile>, topic: &str, kind: &str) -> mcap::McapResult<u16> {
-    let text = known(kind).unwrap_or_default();
-    let schema = mcap.add_schema(&kind.replace('/', "/msg/"), "ros2msg", text.as_bytes())?;
-    mcap.add_channel(schema, topic, "cdr", &BTreeMap::new())
-}
-
 impl Writer {
     /// Begins a file for scans of these sensors.
     ///
     /// # Errors
     /// Names the file and what the system says.
     pub fn create(path: impl AsRef<Path>, sensors: &[Sensor]) -> Result<Self> {
-        let path = path.as_ref();
-        let file = AtomicFile::create(path)?;
-        let options = WriteOptions::new()
-            .profile("ros2")
-            .library("tsdfuse")
-            .compression(None)
-            .chunk_size(Some(CHUNK));
-        let wrong = |e: mcap::McapError| Error::format(path, e.to_string());
-        let mut mcap = options.create(file).map_err(wrong)?;
-        let tf = channel(&mut mcap, "/tf", "tf2_msgs/TFMessage").map_err(wrong)?;
+        Self::over(Box::new(McapFile::create(path.as_ref())?), sensors)
+    }
+
+    /// Says scans of these sensors to the clients of a server.
+    ///
+    /// # Errors
+    /// Names the server and what is wrong.
+    #[cfg(feature = "serve")]
+    pub fn to(server: &super::Server, sensors: &[Sensor]) -> Result<Self> {
+        Self::over(Box::new(server.sink()), sensors)
+    }
+
+    fn over(mut sink: Box<dyn Sink>, sensors: &[Sensor]) -> Result<Self> {
+        let tf = sink.channel("/tf", "tf2_msgs/TFMessage")?;
         let mut clouds = Vec::new();
         for sensor in sensors {
             let name = sensor.name.trim_start_matches('/');
-            let id = channel(&mut mcap, &format!("/{name}"), "sensor_msgs/PointCloud2").map_err(wrong)?;
+            let id = sink.channel(&format!("/{name}"), "sensor_msgs/PointCloud2")?;
             clouds.push((id, name.replace('/', "_")));
         }
         Ok(Self {
-            path: path.to_owned(),
-            mcap,
+            sink,
             told: vec![BTreeMap::new(); clouds.len()],
             clouds,
             tf,
@@ -136,16 +127,14 @@ impl Writer {
         })
     }
 
-    pub(super) fn write(&mut self, channel_id: u16, time_ns: i64, message: &Cdr) -> Result<()> {
-        let time = u64::try_from(time_ns).map_err(|_| Error::format(&self.path, "MCAP has no times before 1970"))?;
-        let header = MessageHeader {
-            channel_id,
-            sequence: 0,
-            log_time: time,
-            publish_time: time,
-        };
-        let written = self.mcap.write_to_known_channel(&header, &message.0);
-        written.map_err(|e| Error::format(&self.path, e.to_string()))
+    pub(super) fn write(&mut self, channel: u16, time_ns: i64, message: Cdr) -> Result<()> {
+        let time_ns =
+            u64::try_from(time_ns).map_err(|_| Error::format(self.path(), "MCAP has no times before 1970"))?;
+        self.sink.send(channel, time_ns, message.0)
+    }
+
+    fn path(&self) -> &Path {
+        self.sink.path()
     }
 
     /// The channel of a topic with messages of one kind, which is made where it is not there yet.
@@ -153,9 +142,21 @@ impl Writer {
         if let Some(channel) = self.others.get(topic) {
             return Ok(*channel);
         }
-        let channel = channel(&mut self.mcap, topic, kind).map_err(|e| Error::format(&self.path, e.to_string()))?;
+        let channel = self.sink.channel(topic, kind)?;
         self.others.insert(topic.to_owned(), channel);
         Ok(channel)
+    }
+
+    pub(super) fn known_channel(&self, topic: &str) -> Option<u16> {
+        self.others.get(topic).copied()
+    }
+
+    pub(super) fn is_heard(&self, channel: u16) -> bool {
+        self.sink.is_heard(channel)
+    }
+
+    pub(super) fn has_newcomers(&mut self, channel: u16) -> bool {
+        self.sink.has_newcomers(channel)
     }
 
     /// The frame of the first sensor.
@@ -175,11 +176,13 @@ impl Writer {
     /// # Errors
     /// Names the file and what the system says, or the scan and what it lacks.
     pub fn write_scan(&mut self, sensor: usize, scan: &Scan) -> Result<()> {
-        scan.check().map_err(|e| Error::dataset(&self.path, e.to_string()))?;
-        let (channel, frame) =
-            self.clouds.get(sensor).cloned().ok_or_else(|| {
-                Error::dataset(&self.path, format!("{} is of a sensor that was not told of", scan.name))
-            })?;
+        scan.check().map_err(|e| Error::dataset(self.path(), e.to_string()))?;
+        let (channel, frame) = self.clouds.get(sensor).cloned().ok_or_else(|| {
+            Error::dataset(
+                self.path(),
+                format!("{} is of a sensor that was not told of", scan.name),
+            )
+        })?;
         let time_ns = self.time_ns(scan);
         self.scans += 1;
         for (time_ns, pose) in self.poses(sensor, time_ns, scan) {
@@ -188,9 +191,9 @@ impl Writer {
             message.header(time_ns, WORLD);
             message.text(&frame);
             message.pose(&pose);
-            self.write(self.tf, time_ns, &message)?;
+            self.write(self.tf, time_ns, message)?;
         }
-        self.write(channel, time_ns, &cloud(scan, time_ns, &frame))
+        self.write(channel, time_ns, cloud(scan, time_ns, &frame))
     }
 
     /// Writes what an inertial measurement unit measured, in the frame of the first sensor.
@@ -201,8 +204,7 @@ impl Writer {
         let Some((_, frame)) = self.clouds.first().cloned() else {
             return Ok(());
         };
-        let wrong = |e: mcap::McapError| Error::format(&self.path, e.to_string());
-        let channel = channel(&mut self.mcap, "/imu", "sensor_msgs/Imu").map_err(wrong)?;
+        let channel = self.channel("/imu", "sensor_msgs/Imu")?;
         for sample in samples {
             let mut message = Cdr::new();
             message.header(sample.time_ns, &frame);
@@ -216,7 +218,7 @@ impl Writer {
             for number in numbers {
                 message.number(f64::to_le_bytes(number));
             }
-            self.write(channel, sample.time_ns, &message)?;
+            self.write(channel, sample.time_ns, message)?;
         }
         Ok(())
     }
@@ -251,11 +253,8 @@ impl Writer {
     ///
     /// # Errors
     /// Names the file and what the system says.
-    pub fn finish(mut self) -> Result<()> {
-        self.mcap
-            .finish()
-            .map_err(|e| Error::format(&self.path, e.to_string()))?;
-        self.mcap.into_inner().commit()
+    pub fn finish(self) -> Result<()> {
+        self.sink.finish()
     }
 }
 
