@@ -158,9 +158,7 @@ impl Esdf {
     /// # Errors
     /// [`PlanError`] if it would have more than 2³¹ voxels.
     pub fn dense(&self) -> Result<Dense<f32>, PlanError> {
-        Dense::of(f32::NAN, |visit| {
-            self.for_each(|voxel, distance_m| visit(voxel, distance_m))
-        })
+        Dense::of(f32::NAN, |visit| self.for_each(visit))
     }
 
     /// Bytes of distances and sites.
