@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use tsdfuse::Pose;
+use tsdfuse::glam::DVec3;
+use tsdfuse::sensor::Pinhole;
 
 use crate::error::{Error, Result};
 use crate::text::{self, Line};
@@ -27,6 +29,38 @@ pub(crate) fn in_folder(folder: &Path) -> Result<Option<Pose>> {
 pub(crate) fn parse(path: &Path, bytes: &[u8], name: &str) -> Result<Option<Pose>> {
     let line = entry(path, bytes, name)?;
     line.map(|line| poses::matrix(&line, &line.numbers()?)).transpose()
+}
+
+/// The camera of the line `name: 12 numbers`, the projection of a rectified image, if there is that line: its intrinsics but for the size, and
+/// the place of the camera in the frame that is projected.
+pub(crate) fn projection(folder: &Path, name: &str) -> Result<Option<(Pinhole, Pose)>> {
+    let path = folder.join("calib.txt");
+    let bytes = files::read(&path)?;
+    let Some(line) = entry(&path, &bytes, name)? else {
+        return Ok(None);
+    };
+    let numbers = line.numbers()?;
+    let &[fx, _, cx, px, _, fy, cy, py, _, _, _, pz] = numbers.as_slice() else {
+        return Err(line.error(format!("{} numbers where a projection has 12", numbers.len())));
+    };
+    if !(fx > 0.0 && fy > 0.0 && numbers.iter().all(|v| v.is_finite() && v.abs() < 1e6)) {
+        return Err(line.error("is no projection of a camera"));
+    }
+    let translation = -DVec3::new((px - cx * pz) / fx, (py - cy * pz) / fy, pz);
+    let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
+    let camera = Pinhole {
+        width: 1,
+        height: 1,
+        fx,
+        fy,
+        cx,
+        cy,
+    };
+    let place = Pose {
+        translation,
+        ..Pose::IDENTITY
+    };
+    Ok(Some((camera, place)))
 }
 
 /// Parses the transform of the lines `R:` and `T:`, as in `calib_imu_to_velo.txt`; `path` is for messages.

@@ -29,7 +29,7 @@ use crate::cloud::{self, Cloud};
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::poses::{self, Poses};
-use crate::source::{ImuSample, OpenOptions, ScanRef, Sensor, Source};
+use crate::source::{ImageRef, ImuSample, OpenOptions, ScanRef, Sensor, Source};
 use crate::{bin, las, pcd, placed, ply, present, times};
 
 mod beside;
@@ -53,6 +53,7 @@ pub(crate) struct ScanFolder {
     /// `world_from_body`.
     trajectory: Option<Trajectory>,
     imu: Imu,
+    images: Vec<ImageRef>,
     sensors: [Sensor; 1],
     /// Whether `sensor.toml` says how far elevations are off.
     tells_errors: bool,
@@ -150,6 +151,7 @@ impl ScanFolder {
             } else {
                 Imu::Known(Vec::new())
             },
+            images: Vec::new(),
             sensors: [sensor],
             tells_errors,
             notes,
@@ -184,6 +186,12 @@ impl ScanFolder {
     ) -> Self {
         let [sensor] = &mut self.sensors;
         (self.trajectory, self.imu, sensor.body_from_sensor) = (trajectory, Imu::Known(imu), body_from_sensor);
+        self
+    }
+
+    /// What cameras saw meanwhile.
+    pub(crate) fn with_images(mut self, images: Vec<ImageRef>) -> Self {
+        self.images = images;
         self
     }
 
@@ -362,6 +370,10 @@ impl Source for ScanFolder {
             Imu::Known(samples) => Ok(samples.clone()),
             Imu::InFile(path) => imu::read(path, &sensor.body_from_sensor),
         }
+    }
+
+    fn images(&self) -> &[ImageRef] {
+        &self.images
     }
 
     fn notes(&self) -> &[String] {
