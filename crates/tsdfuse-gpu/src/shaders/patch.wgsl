@@ -13,9 +13,9 @@ fn fuse_return(i: u32, thread: u32) -> u32 {
         let ring = cell / frame.columns;
         let column = cell % frame.columns;
         if thread == 2u {
-            connect(patches[cell], patches[ring * frame.columns + next_column(column)]);
+            connect(patches[cell], patches[ring * frame.columns + next_column(column)], MAX_GAP_ACROSS_M);
         } else if ring + 1u < frame.rings && column % nth(frame.step_m / (frame.column_rad * length(patches[cell].center))) == 0u {
-            connect(patches[cell], patches[cell + frame.columns]);
+            connect(patches[cell], patches[cell + frame.columns], 1e30);
         }
     }
     return NO_RETURN;
@@ -61,8 +61,8 @@ fn nth(dense: f32) -> u32 {
     return 1u << firstLeadingBit(max(u32(dense), 1u));
 }
 
-// Fuses the surface between two neighbours, if both lie on the same one.
-fn connect(a: Patch, b: Patch) {
+// Fuses the surface between two neighbours, if both lie on the same one and are no farther apart than this.
+fn connect(a: Patch, b: Patch, longest_m: f32) {
     let apart = b.center - a.center;
     let gap = length(apart);
     let range = min(length(a.center), length(b.center));
@@ -80,7 +80,7 @@ fn connect(a: Patch, b: Patch) {
         is_one = select(gap, length(seen), kind == WHOLE) <= far
             && off <= MAX_OFF_BETWEEN * noise_m() && dot(a.normal, b.normal) >= MIN_DOT;
     }
-    if kind == NOWHERE || gap < frame.step_m || gap > MAX_GAP_OF_RANGE * range || !is_one {
+    if kind == NOWHERE || gap < frame.step_m || gap > min(longest_m, MAX_GAP_OF_RANGE * range) || !is_one {
         return;
     }
     let steps = ceil(gap / frame.step_m);

@@ -10,8 +10,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::{
-    index::{Anchor, GridPoint},
-    map::VoxelMap,
+    index::{Anchor, BlockIndex, GridPoint, local_number},
+    map::{Block, Voxel, VoxelMap},
     patch::{Patch, SAMPLE},
 };
 
@@ -78,6 +78,22 @@ impl Agreement {
         Self { sigma_vox }
     }
 
+    /// The standard deviation of a patch, in voxels.
+    #[inline(always)]
+    pub(super) fn sigma_of(&self, patch: &Patch) -> f32 {
+        if self.is_perfect() {
+            0.0
+        } else {
+            self.sigma_vox(patch.arm_m())
+        }
+    }
+
+    /// Whether all standard deviations are 0, as they mostly are where poses are good.
+    #[inline(always)]
+    fn is_perfect(&self) -> bool {
+        self.sigma_vox == [0.0; ARMS]
+    }
+
     /// The standard deviation for an arm, in voxels.
     #[inline(always)]
     pub(super) fn sigma_vox(&self, arm_m: f32) -> f32 {
@@ -126,10 +142,19 @@ fn sigma(counts: &[u32; BINS]) -> Option<f32> {
 /// How far in front of a place the map's surface is, along a normal, in voxels: where the distance passes 0, the nearest first.
 fn offset(map: &VoxelMap, at: GridPoint, normal: Vec3) -> Option<f32> {
     let truncation = map.config().truncation_vox();
+    // Mostly one block.
+    let mut last_block: Option<(BlockIndex, Option<&Block>)> = None;
     // How far a voxel's centre is along the normal, and its distance to the surface.
-    let read = |step: f32| {
+    let mut read = |step: f32| {
         let corner = (at.fraction + normal * step).floor();
-        let voxel = map.voxel(at.voxel + corner.as_ivec3());
+        let place = at.voxel + corner.as_ivec3();
+        let index = BlockIndex::of(place);
+        let block = match last_block {
+            Some((last, block)) if last == index => block,
+            _ => map.block(index),
+        };
+        last_block = Some((index, block));
+        let voxel = block.map_or_else(Voxel::default, |block| block.voxels[local_number(place)]);
         let distance = truncation * voxel.distance_sum as f32 / voxel.weight_sum as f32;
         (voxel.weight_sum > 0).then(|| ((corner + 0.5 - at.fraction).dot(normal), distance))
     };

@@ -303,16 +303,19 @@ fn ray_past(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> Option<
         let (end, place) = (seen.placed.points[i] - origin, place - origin);
         let length = end.length();
         let along = place.dot(end) / length;
-        let patch = &seen.patches[i];
-        let above = if patch.is_plane() {
-            (place - end).dot(patch.normal)
-        } else {
-            length - along
-        };
-        let arm_m = if patch.is_plane() { patch.arm_m() } else { length };
-        let margin = (MARGIN + SIGMAS_OF_RAYS * seen.agreement.sigma_vox(arm_m)) * voxel_m;
         let beside2 = (place - end * (along / length)).length_squared();
-        if along > 0.0 && length - along > margin && above > margin && beside2 < radius * radius {
+        // Most rays pass farther away.
+        if !(along > 0.0 && length - along > MARGIN * voxel_m && beside2 < radius * radius) {
+            continue;
+        }
+        let patch = &seen.patches[i];
+        let (above, sigma) = if patch.is_plane() {
+            ((place - end).dot(patch.normal), seen.agreement.sigma_of(patch))
+        } else {
+            (length - along, seen.agreement.sigma_vox(length))
+        };
+        let margin = (MARGIN + SIGMAS_OF_RAYS * sigma) * voxel_m;
+        if length - along > margin && above > margin {
             return Some(end);
         }
     }

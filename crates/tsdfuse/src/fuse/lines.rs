@@ -340,23 +340,33 @@ impl Piece {
         if first == last {
             self.push_to(first);
         } else {
-            self.push_to_each(first, last, line);
+            self.push_to_each(line, shape);
         }
     }
 
+    /// As [`Self::push`], for lines near the border of a region.
     #[inline(never)]
-    fn push_to_each(&mut self, first: IVec3, last: IVec3, line: &Line) {
+    fn push_to_each(&mut self, line: &Line, shape: Shape) {
+        let GridPoint { voxel, fraction } = line.center;
+        let half_box = Vec3::from_array(line.axis.to_array().map(|axis| shape.reach(axis, line.reach)));
+        let (low, high) = (fraction - half_box, fraction + half_box - 1.0);
+        let first = (voxel + IVec3::new(round(low.x), round(low.y), round(low.z))) >> REGION_SHIFT;
+        let last = (voxel + IVec3::new(round(high.x), round(high.y), round(high.z))) >> REGION_SHIFT;
+        let is_far = (last - first).element_sum() > 1;
         let far = 0.5 * 3.0_f32.sqrt() * REGION_EDGE as f32 + VOXEL_RADIUS + SLACK;
         for z in first.z..=last.z {
             for y in first.y..=last.y {
                 for x in first.x..=last.x {
                     let region = IVec3::new(x, y, z);
-                    let middle = (region << REGION_SHIFT) + REGION_EDGE / 2 - line.center.voxel;
-                    let middle = middle.as_vec3() - line.center.fraction;
-                    let along = middle.dot(line.axis);
-                    if along.abs() <= far + line.reach && (middle - along * line.axis).length() <= far {
-                        self.push_to(region);
+                    if is_far {
+                        let middle = (region << REGION_SHIFT) + REGION_EDGE / 2 - voxel;
+                        let middle = middle.as_vec3() - fraction;
+                        let along = middle.dot(line.axis);
+                        if along.abs() > far + line.reach || (middle - along * line.axis).length() > far {
+                            continue;
+                        }
                     }
+                    self.push_to(region);
                 }
             }
         }

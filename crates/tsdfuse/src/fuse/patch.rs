@@ -213,7 +213,7 @@ impl Integrator for Patch {
                 let range_m = patch.center.length();
                 let cosine = (-patch.center.dot(patch.normal) / range_m).max(0.0);
                 let known = if patch.is_plane() { 1.0 } else { RAY_WEIGHT };
-                let sigma = agreement.sigma_vox(patch.arm_m());
+                let sigma = agreement.sigma_of(patch);
                 Ok(Line {
                     center: anchor.locate(patch.center).ok_or(Skip::OutsideGrid)?,
                     axis: patch.normal,

@@ -19,6 +19,10 @@ pub const FAR_M: f32 = 25.0;
 /// Returns are linked no farther apart than this share of their range.
 pub const MAX_GAP_OF_RANGE: f32 = 0.5;
 
+/// Returns of neighbouring columns are linked no farther apart than this, metres. Where rays graze a row of façades, the next column may be
+/// metres farther on, past an opening; a road, which rings graze, has none.
+pub const MAX_GAP_ACROSS_M: f32 = 1.0;
+
 /// The widest gap that is closed at some range.
 #[inline(always)]
 pub fn widest_gap_m(max_gap_m: f32, range_m: f32) -> f32 {
@@ -56,8 +60,11 @@ impl Between {
                 let next = if column + 1 == image.columns() { 0 } else { column + 1 };
                 let dense = limits.step_m / (column_rad * all[i].center.length());
                 let above = image.get(ring + 1, column).filter(|_| column % nth(dense) == 0);
-                for other in [above, image.get(ring, next)].into_iter().flatten() {
-                    if let Some(kind) = linked(&all[i], &all[other], limits) {
+                for (other, longest_m) in [(above, f32::INFINITY), (image.get(ring, next), MAX_GAP_ACROSS_M)] {
+                    let Some(other) = other else {
+                        continue;
+                    };
+                    if let Some(kind) = linked(&all[i], &all[other], longest_m, limits) {
                         let more = on_the_way(&all[i], &all[other], kind, limits.step_m);
                         if more.len() > room - between.len() {
                             return None;
@@ -79,14 +86,18 @@ fn nth(dense: f32) -> usize {
     1 << (dense as u32).max(1).ilog2()
 }
 
-/// What is known between two neighbours; `None` if nothing tells that they are of one surface.
+/// What is known between two neighbours; `None` if nothing tells that they are of one surface, or if they are too far apart.
 #[inline(always)]
-fn linked(a: &Patch, b: &Patch, limits: &Limits) -> Option<Kind> {
+fn linked(a: &Patch, b: &Patch, longest_m: f32, limits: &Limits) -> Option<Kind> {
     let apart = b.center - a.center;
     let gap = apart.length();
+    // As most are not. Also false for NaN.
+    if !(gap >= limits.step_m && gap <= longest_m) {
+        return None;
+    }
     let ranges = [a, b].map(|patch| patch.center.length());
     let range = ranges[0].min(ranges[1]);
-    if !(gap >= limits.step_m && gap <= MAX_GAP_OF_RANGE * range) {
+    if !(gap <= MAX_GAP_OF_RANGE * range) {
         return None;
     }
     let widest = widest_gap_m(limits.max_gap_m, range);
@@ -147,7 +158,7 @@ mod tests {
         let normal = if kind == Kind::Ray { Vec3::ZERO } else { -Vec3::X };
         let at = |y: f32| patch(Vec3::new(range, y, 0.0), normal, kind);
         let limits = Limits { max_gap_m, ..LIMITS };
-        let link = linked(&at(-0.5 * gap), &at(0.5 * gap), &limits);
+        let link = linked(&at(-0.5 * gap), &at(0.5 * gap), f32::INFINITY, &limits);
         assert!(link.is_none_or(|link| link == kind));
         link.is_some()
     }
@@ -177,10 +188,21 @@ mod tests {
     fn on_a_road_the_gap_is_what_the_sensor_sees_of_it() {
         // 1.8 m below the sensor; rays meet it at 9°.
         let road = |x: f32, kind: Kind| patch(Vec3::new(x, 0.0, -1.8), Vec3::Z, kind);
-        let of = |kind: Kind, far: f32| linked(&road(11.0, kind), &road(far, kind), &LIMITS);
+        let of = |kind: Kind, far: f32| linked(&road(11.0, kind), &road(far, kind), f32::INFINITY, &LIMITS);
         assert_eq!(of(Kind::Whole, 13.6), Some(Kind::Whole)); // 0.38 m
         assert_eq!(of(Kind::Whole, 14.4), None); // 0.48 m
         assert_eq!((of(Kind::Half, 11.3), of(Kind::Ray, 11.3)), (None, None));
+    }
+
+    #[test]
+    fn along_a_row_of_facades_openings_are_not_closed() {
+        // 2 m beside the sensor; rays meet it at 8°.
+        let facade = |x: f32| patch(Vec3::new(x, 2.0, 0.0), -Vec3::Y, Kind::Whole);
+        let of = |far: f32| linked(&facade(14.0), &facade(far), MAX_GAP_ACROSS_M, &LIMITS);
+        assert_eq!(of(14.9), Some(Kind::Whole));
+        assert_eq!(of(15.1), None);
+        let as_rings = linked(&facade(14.0), &facade(15.1), f32::INFINITY, &LIMITS);
+        assert_eq!(as_rings, Some(Kind::Whole));
     }
 
     #[test]
@@ -189,7 +211,7 @@ mod tests {
             let (sin, cos) = turn.to_radians().sin_cos();
             patch(Vec3::new(x, y, 0.0), Vec3::new(-cos, sin, 0.0), Kind::Whole)
         };
-        let with = |other: Patch| linked(&wall(10.0, 0.0, 0.0), &other, &LIMITS).is_some();
+        let with = |other: Patch| linked(&wall(10.0, 0.0, 0.0), &other, f32::INFINITY, &LIMITS).is_some();
         assert!(with(wall(10.07, 0.3, 0.0)) && !with(wall(10.09, 0.3, 0.0)));
         assert!(with(wall(10.0, 0.1, 25.0)) && !with(wall(10.0, 0.1, 27.0)));
         // Of a return without a plane it is a window's half.

@@ -12,10 +12,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::{
-    lanes::LANES,
+    lanes::{LANES, Vectors, lanes},
     sensor::{NONE, ScanImage},
 };
-pub use between::{FAR_M, MAX_GAP_OF_RANGE, MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT, widest_gap_m};
+pub use between::{FAR_M, MAX_GAP_ACROSS_M, MAX_GAP_OF_RANGE, MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT, widest_gap_m};
 pub use sums::MAX_COLUMNS;
 pub(crate) use surface::{Limits, Patch};
 
@@ -277,33 +277,38 @@ impl Scan<'_> {
             residual2: [f32::INFINITY; LANES],
         };
         let noise2 = self.limits.noise_m * self.limits.noise_m;
-        for (lane, &i) in of.iter().enumerate() {
-            // Also false for NaN.
-            if i == NONE || !(planes.count[lane] >= MIN_RETURNS) {
-                continue;
-            }
-            let i = i as usize;
-            let (ray, normal) = (self.ray(i), planes.normal.get(lane));
-            let (facing, off) = (ray.dot(normal), normal.dot(planes.mean.get(lane)));
-            let cosine2 = facing * facing / ray.length_squared();
-            let (residual2, spread2) = (planes.residual2[lane], planes.spread2[lane]);
-            // What is expected across the plane: of the noise, what does not lie along it.
-            let noise2_across = noise2 * cosine2;
-            let expected2 = noise2_across + ROUGHNESS_M * ROUGHNESS_M;
-            let is_plane = residual2 <= MAX_RESIDUAL * MAX_RESIDUAL * expected2
-                && off * off <= MAX_OFF * MAX_OFF * expected2
-                && spread2 >= MIN_SPREAD * MIN_SPREAD * residual2.max(noise2)
-                && cosine2 >= MIN_COSINE * MIN_COSINE;
-            if is_plane {
-                // Of what is off the plane, noise goes, and shape stays (Wiener's filter).
-                let noise = (noise2_across / residual2).min(1.0);
-                found.patches[lane] = Patch {
-                    center: self.points[i] + normal * (noise * off),
-                    normal: if facing > 0.0 { -normal } else { normal },
-                    kind,
-                };
-                found.residual2[lane] = residual2;
-            }
+        let (mut points, mut rays) = (Vectors::ZERO, Vectors::ZERO);
+        for (lane, &i) in of.iter().enumerate().filter(|(_, i)| **i != NONE) {
+            points.set(lane, self.points[i as usize]);
+            rays.set(lane, self.ray(i as usize));
+        }
+        let normal = planes.normal;
+        let (facing, off) = (rays.dot(normal), normal.dot(planes.mean));
+        let length2 = rays.dot(rays);
+        let cosine2 = lanes(|l| facing[l] * facing[l] / length2[l]);
+        let (residual2, spread2) = (&planes.residual2, &planes.spread2);
+        // What is expected across the plane: of the noise, what does not lie along it.
+        let noise2_across = lanes(|l| noise2 * cosine2[l]);
+        let expected2 = lanes(|l| noise2_across[l] + ROUGHNESS_M * ROUGHNESS_M);
+        // Also false for NaN.
+        let is_plane = lanes(|l| {
+            (planes.count[l] >= MIN_RETURNS)
+                & (residual2[l] <= MAX_RESIDUAL * MAX_RESIDUAL * expected2[l])
+                & (off[l] * off[l] <= MAX_OFF * MAX_OFF * expected2[l])
+                & (spread2[l] >= MIN_SPREAD * MIN_SPREAD * residual2[l].max(noise2))
+                & (cosine2[l] >= MIN_COSINE * MIN_COSINE)
+        });
+        // Of what is off the plane, noise goes, and shape stays (Wiener's filter).
+        let moved = lanes(|l| (noise2_across[l] / residual2[l]).min(1.0) * off[l]);
+        let centers = points.add(normal.scale(moved));
+        let towards = normal.scale(lanes(|l| if facing[l] > 0.0 { -1.0 } else { 1.0 }));
+        for (lane, _) in of.iter().enumerate().filter(|(lane, i)| **i != NONE && is_plane[*lane]) {
+            found.patches[lane] = Patch {
+                center: centers.get(lane),
+                normal: towards.get(lane),
+                kind,
+            };
+            found.residual2[lane] = residual2[lane];
         }
         found
     }

@@ -75,26 +75,36 @@ impl WindowSums {
     /// The sums over a window.
     #[inline(always)]
     pub(super) fn of(&self, window: Window) -> Sums {
-        let mut all = [0.0; 10];
-        let [mut column, last] = window.columns;
+        let [first, last] = window.columns;
+        let mut all = self.within_band(first, (first | (BAND - 1)).min(last), window.rings);
+        let mut column = (first | (BAND - 1)) + 1;
         while column <= last {
             let end = (column | (BAND - 1)).min(last);
-            self.add_column(&mut all, end, window.rings, 1.0);
-            if column % BAND != 0 {
-                self.add_column(&mut all, column - 1, window.rings, -1.0);
-            }
+            let more = self.within_band(column, end, window.rings);
+            (0..10).for_each(|k| all[k] += more[k]);
             column = end + 1;
         }
         all
     }
 
+    /// The sums over columns of one band.
     #[inline(always)]
-    fn add_column(&self, all: &mut Sums, column: usize, [first, last]: [usize; 2], sign: f64) {
-        let column = &self.table[column * self.height()..][..self.height()];
-        let (below, above) = (&column[first], &column[last + 1]);
-        for k in 0..10 {
-            all[k] += sign * (above[k] - below[k]);
+    fn within_band(&self, first: usize, last: usize, rings: [usize; 2]) -> Sums {
+        let mut all = self.column(last, rings);
+        if !first.is_multiple_of(BAND) {
+            let before = self.column(first - 1, rings);
+            (0..10).for_each(|k| all[k] -= before[k]);
         }
+        all
+    }
+
+    /// The sums up to a column of its band.
+    #[inline(always)]
+    fn column(&self, column: usize, [first, last]: [usize; 2]) -> Sums {
+        let column = &self.table[column * self.height()..][..self.height()];
+        let (mut all, below) = (column[last + 1], &column[first]);
+        (0..10).for_each(|k| all[k] -= below[k]);
+        all
     }
 }
 
