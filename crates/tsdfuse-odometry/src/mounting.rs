@@ -1,6 +1,7 @@
-//! Where the sensor sits on the body whose poses are given, and how far the clocks of both are apart, found from refined poses.
+//! Where the sensor sits on the body whose poses are given, and how far the clocks of both are apart, found from odometry.
 //!
-//! Refined poses P tell the sensor's own motion from one time to a later one. Given poses G tell the same motion if the sensor sits at X on
+//! Poses P of odometry tell the sensor's own motion from one time to a later one. (Refined poses do not: errors that change slowly along the
+//! drive stay in them.) Given poses G tell the same motion if the sensor sits at X on
 //! their body and their clock is ahead by δ:
 //!
 //! ```text
@@ -37,6 +38,24 @@ impl Mounting {
             rotation: DQuat::from_scaled_axis(turn),
             translation: self.shift_m,
         }
+    }
+
+    /// The poses of the sensor, from those that were given for its scans, in order of time.
+    pub fn mended(&self, given: &[(i64, Pose)]) -> Vec<Pose> {
+        let mounted = self.pose();
+        let mended = given.iter().enumerate().map(|(i, &(_, pose))| {
+            let (from_ns, from) = given[i.saturating_sub(1)];
+            let (to_ns, to) = given[(i + 1).min(given.len() - 1)];
+            let secs = secs_between(from_ns, to_ns);
+            let share = if secs > 0.0 { self.time_offset_s / secs } else { 0.0 };
+            let later = Pose {
+                rotation: pose.rotation
+                    * DQuat::from_scaled_axis(turn_of(from.rotation.conjugate() * to.rotation) * share),
+                translation: pose.translation + (to.translation - from.translation) * share,
+            };
+            later * mounted
+        });
+        mended.collect()
     }
 }
 
@@ -107,11 +126,11 @@ impl Given {
 /// From one scan to a later one.
 struct Moved {
     given: [Given; 2],
-    /// The refined pose at the end seen from that at the begin.
-    refined: Pose,
+    /// The tracked pose at the end seen from that at the begin.
+    tracked: Pose,
 }
 
-/// Compares refined poses of a sensor with those that were given for the same scans: (time, given, refined), in order of time. `None` if
+/// Compares poses of a sensor by odometry with those that were given for the same scans: (time, given, tracked), in order of time. `None` if
 /// nothing about them is wrong beyond doubt, and for drives that are too short to tell.
 pub fn mounting(poses: &[(i64, Pose, Pose)]) -> Option<Mounting> {
     let (moved, overlap) = motions(poses);
@@ -149,10 +168,10 @@ fn motions(poses: &[(i64, Pose, Pose)]) -> (Vec<Moved>, f64) {
         };
         if let (Some(begin), Some(end)) = (Given::of(poses, i), Given::of(poses, i + steps)) {
             scans += steps;
-            let refined = from.inverse() * poses[i + steps].2;
+            let tracked = from.inverse() * poses[i + steps].2;
             moved.push(Moved {
                 given: [begin, end],
-                refined,
+                tracked,
             });
         }
     }
@@ -169,7 +188,7 @@ fn difference(moved: &Moved, unknowns: &Unknowns) -> [DVec3; 2] {
     };
     let [from, to] = moved.given.each_ref().map(|given| given.after(x[6]));
     let foretold = mounted.inverse() * from.inverse() * to * mounted;
-    let off = moved.refined.inverse() * foretold;
+    let off = moved.tracked.inverse() * foretold;
     [off.translation, turn_of(off.rotation)]
 }
 
@@ -245,7 +264,7 @@ mod tests {
         }
     }
 
-    /// (time, given, refined) of a sensor that sits otherwise than it is said.
+    /// (time, given, tracked) of a sensor that sits otherwise than it is said.
     fn drive(truth: &Mounting, noise: f64) -> Vec<(i64, Pose, Pose)> {
         let at = |i: i64| {
             let secs = i as f64 * 0.1;
@@ -275,6 +294,12 @@ mod tests {
         assert!(found.shift_m.distance(TRUTH.shift_m) < 0.015, "{found:?}");
         assert!(found.turn_deg.distance(TRUTH.turn_deg) < 0.05, "{found:?}");
         assert!((found.time_offset_s - TRUTH.time_offset_s).abs() < 0.002, "{found:?}");
+        let drive = drive(&TRUTH, 0.0);
+        let given: Vec<_> = drive.iter().map(|&(time_ns, given, _)| (time_ns, given)).collect();
+        for (i, mended) in TRUTH.mended(&given).iter().enumerate().skip(1).take(drive.len() - 2) {
+            assert!(mended.translation.distance(drive[i].2.translation) < 0.02, "{i}");
+            assert!(mended.rotation.angle_between(drive[i].2.rotation) < 0.005, "{i}");
+        }
     }
 
     #[test]

@@ -151,8 +151,7 @@ pub struct OdometryReport {
     /// Systematic errors of the sensor that refinement found, and that were taken back besides those that were known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correction: Option<SensorCorrection>,
-    /// Where the sensor is, seen from where the given poses put it, if refinement found it elsewhere. The poses are refined, so the map needs
-    /// no more; other logs of the same vehicle do.
+    /// Where the sensor is, seen from where the given poses put it, if refinement found it elsewhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mounting: Option<Mounting>,
 }

@@ -163,6 +163,9 @@ const REFINE_REACH_M: [f64; 6] = [0.5, 0.2, 0.1, 0.1, 0.1, 0.1];
 /// Scans at most from which the errors are found that all beams share.
 const CALIBRATED_BY: usize = 30;
 
+/// Scans at most whose odometry is compared with the given poses.
+const MOUNTED_BY: usize = 1000;
+
 /// The round of refinement after which errors of the sensor are looked for: before, the poses are too rough.
 const CALIBRATED_AFTER: usize = 1;
 
@@ -202,19 +205,33 @@ impl Refinement {
             ));
         }
         let start = Instant::now();
+        let mounting = match config.calibrate {
+            Calibrate::Off => None,
+            Calibrate::Auto | Calibrate::Beams => {
+                observer.on(Event::Working("comparing the poses with odometry"));
+                mounting_of(log, indices, config, limits, stop)?
+            }
+        };
+        let mended = mended(log, indices, mounting.as_ref());
         observer.on(Event::Working("refining the poses"));
+        // Poses to begin with, where they are not those of the log.
         let mut refined: HashMap<usize, Refined> = HashMap::new();
         let mut closed = None;
-        if let Some(loops) = loops {
-            let mut loops = Loops::new(loops);
+        if loops.is_some() || mounting.is_some() {
+            let mut loops = loops.map(Loops::new);
             for read in log.read_indices(indices.to_vec()) {
                 if stop.is_stopped() {
                     break;
                 }
                 let Ok(mut scan) = read.scan else { continue };
+                let Some(&pose) = mended.get(&read.index) else { continue };
+                if let Some(mounting) = &mounting {
+                    place_as(&mut scan, pose, &mounting.pose());
+                }
                 scan.drop_invalid(limits);
-                let Some(pose) = scan.pose else { continue };
-                loops.push(read.index, &scan, &Quality::GIVEN);
+                if let Some(loops) = &mut loops {
+                    loops.push(read.index, &scan, &Quality::GIVEN);
+                }
                 let given = Refined {
                     pose,
                     motion: scan.motion,
@@ -222,14 +239,12 @@ impl Refinement {
                 };
                 refined.insert(read.index, given);
             }
-            let corrections = loops.finish();
-            if corrections.report.closures.is_empty() {
-                refined.clear();
+            closed = loops.map(Loops::finish);
+            if let Some(corrections) = &closed {
+                for (index, refined) in &mut refined {
+                    *refined = refined.moved(&corrections.of(*index));
+                }
             }
-            for (index, refined) in &mut refined {
-                *refined = refined.moved(&corrections.of(*index));
-            }
-            closed = Some(corrections);
         }
         let mut correction = SensorCorrection::default();
         for (round, reach_m) in REFINE_REACH_M.into_iter().enumerate() {
@@ -271,16 +286,10 @@ impl Refinement {
                 correction = correction.plus(&refiner.errors().by_beam());
             }
         }
-        let scans = indices.iter().map(|index| (&log.scans()[*index], refined.get(index)));
-        let pairs = scans
-            .clone()
-            .filter_map(|(scan, refined)| Some((scan.pose?, refined?.pose)));
+        let pairs = indices
+            .iter()
+            .filter_map(|index| Some((*mended.get(index)?, refined.get(index)?.pose)));
         let shift = common_shift(&pairs.collect::<Vec<_>>());
-        let timed = scans.filter_map(|(scan, refined)| Some((scan.time_ns?, scan.pose?, refined?.pose)));
-        let mounting = match config.calibrate {
-            Calibrate::Off => None,
-            Calibrate::Auto | Calibrate::Beams => mounting(&timed.collect::<Vec<_>>()),
-        };
         let refined = refined
             .into_iter()
             .map(|(index, refined)| (index, refined.moved(&shift)))
@@ -361,6 +370,58 @@ impl Refinement {
         let refined = self.refined.get(&index)?;
         refined.place(scan);
         Some(refined.quality)
+    }
+}
+
+/// Where the sensor is, seen from where the poses of its scans put it: odometry tells.
+fn mounting_of(
+    log: &Log,
+    indices: &[usize],
+    config: OdometryConfig,
+    limits: &RangeLimits,
+    stop: &Stop,
+) -> Result<Option<Mounting>> {
+    let mut tracking = Tracking::new(log, config, *limits)?;
+    let mut poses = Vec::new();
+    let mut take = |placed: Vec<(ReadScan, Option<Quality>)>| {
+        poses.extend(placed.into_iter().filter_map(|(read, _)| {
+            let scan = &log.scans()[read.index];
+            Some((scan.time_ns?, scan.pose?, read.scan.ok()?.pose?))
+        }));
+    };
+    let from = indices.len().saturating_sub(MOUNTED_BY) / 2;
+    let indices = indices.iter().skip(from).take(MOUNTED_BY).copied();
+    for read in log.read_indices(indices.collect()) {
+        if stop.is_stopped() {
+            return Ok(None);
+        }
+        take(tracking.push(read));
+    }
+    take(tracking.finish());
+    // Pieces have nothing to do with each other.
+    Ok(mounting(&poses).filter(|_| tracking.pieces() == 1))
+}
+
+/// The given poses of these scans, of a sensor that sits there.
+fn mended(log: &Log, indices: &[usize], mounting: Option<&Mounting>) -> HashMap<usize, Pose> {
+    let given = indices
+        .iter()
+        .filter_map(|index| Some((*index, log.scans()[*index].pose?)));
+    let Some(mounting) = mounting else {
+        return given.collect();
+    };
+    let (indices, timed): (Vec<_>, Vec<_>) = given
+        .filter_map(|(index, pose)| Some((index, (log.scans()[index].time_ns?, pose))))
+        .unzip();
+    indices.into_iter().zip(mounting.mended(&timed)).collect()
+}
+
+/// Gives a scan a pose that was mended, with the same motion of the body.
+fn place_as(scan: &mut Scan, pose: Pose, given_from_sensor: &Pose) {
+    if let Some(given) = scan.pose.replace(pose) {
+        for at in &mut scan.motion {
+            at.pose = pose * given_from_sensor.inverse() * given.inverse() * at.pose * *given_from_sensor;
+        }
     }
 }
 
