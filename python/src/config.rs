@@ -9,7 +9,6 @@ use tsdfuse_run::{RunConfig, Settings};
 
 use crate::data::{from_python, to_python};
 use crate::error::{OrRaise, wrong};
-use crate::log::Log;
 
 /// What is set of all options; the rest is what a log suggests, or the default.
 #[pyclass(frozen, module = "tsdfuse", eq)]
@@ -123,9 +122,15 @@ impl Config {
 
     /// All options, those of a log's suggestions and the defaults included: a dictionary of sections.
     #[pyo3(signature = (log=None))]
-    fn resolve<'py>(&self, py: Python<'py>, log: Option<&Log>) -> PyResult<Bound<'py, PyAny>> {
+    fn resolve<'py>(&self, py: Python<'py>, log: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
         let resolved = match log {
-            Some(log) => self.0.resolve(&log.log).or_raise()?,
+            Some(log) => {
+                let suggested = log
+                    .call_method0("suggested")?
+                    .extract::<PyRef<'_, Self>>()?
+                    .resolved()?;
+                self.0.resolve_over(&suggested).or_raise()?
+            }
             None => self.resolved()?,
         };
         to_python(py, &resolved)

@@ -14,7 +14,7 @@ use crate::arrays::Rows;
 use crate::data::{from_python, to_python};
 use crate::error::{OrRaise, wrong};
 use crate::mesh::Mesh;
-use crate::odometry::Trajectory;
+use crate::trajectory::Trajectory;
 use crate::watch::work;
 
 /// Compares a mesh with a reference: a file or a log, a mesh, or points.

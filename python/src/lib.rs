@@ -14,14 +14,18 @@ mod log;
 mod map;
 mod mesh;
 mod odometry;
+mod piece;
 mod plan;
 mod program;
+mod reach;
 mod render;
+mod saved;
 mod scan;
 mod sensor;
 mod session;
 mod simulate;
 mod store;
+mod trajectory;
 mod watch;
 
 use pyo3::prelude::*;
@@ -30,7 +34,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::cells::{Reach, checksum, write_cells};
+    use super::cells::{checksum, write_cells};
     #[pymodule_export]
     use super::config::Config;
     #[pymodule_export]
@@ -44,11 +48,13 @@ mod _core {
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]
-    use super::odometry::{Odometry, Trajectory, track};
+    use super::odometry::{Odometry, track};
     #[pymodule_export]
     use super::plan::{Esdf, Moving, Occupancy, ground};
     #[pymodule_export]
     use super::program::{command, set_threads, threads, version};
+    #[pymodule_export]
+    use super::reach::Reach;
     #[pymodule_export]
     use super::render::View;
     #[pymodule_export]
@@ -61,4 +67,6 @@ mod _core {
     use super::simulate::Simulation;
     #[pymodule_export]
     use super::store::Store;
+    #[pymodule_export]
+    use super::trajectory::Trajectory;
 }

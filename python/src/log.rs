@@ -13,8 +13,8 @@ use crate::arrays::{pose_array, pose_arrays};
 use crate::config::Config;
 use crate::data::{from_python, to_python};
 use crate::error::{OrRaise, exception};
-use crate::odometry::Trajectory;
 use crate::scan::{Origin, Scan};
+use crate::trajectory::Trajectory;
 
 /// An opened log.
 #[pyclass(frozen, module = "tsdfuse")]

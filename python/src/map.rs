@@ -23,11 +23,12 @@ use crate::config::Config;
 use crate::data::{from_python, to_python};
 use crate::error::{OrRaise, exception, wrong};
 use crate::mesh::Mesh;
-use crate::odometry::Trajectory;
-use crate::plan::OwnPiece;
+use crate::piece::OwnPiece;
+use crate::reach::Reach;
+use crate::saved::{self, read_any};
 use crate::scan::{Columns, Scan};
 use crate::sensor;
-use crate::store::read_any;
+use crate::trajectory::Trajectory;
 
 /// A sensor whose scans were fused, and what fuses them.
 struct Fuser {
@@ -298,7 +299,7 @@ impl Map {
     }
 
     /// What a scan may change.
-    fn reach(&self, py: Python<'_>, scan: &Scan) -> PyResult<crate::cells::Reach> {
+    fn reach(&self, py: Python<'_>, scan: &Scan) -> PyResult<Reach> {
         py.detach(|| {
             let (config, range) = self.run_config(scan)?;
             let clean = scan.cleaned(&range);
@@ -307,7 +308,7 @@ impl Map {
                 .fuser(&mut fusers, scan, &config, &clean)
                 .method
                 .reach(&config.map, &clean);
-            Ok(crate::cells::Reach::of(reach.or_raise()?, self.read().map.grid()))
+            Ok(Reach::of(reach.or_raise()?, self.read().map.grid()))
         })
     }
 
@@ -502,7 +503,7 @@ impl Map {
     /// Writes the voxels as arrays, or the surface as points.
     fn export(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let config = self.mesh_config(None)?;
-        py.detach(|| crate::store::export(&self.read().map, &config, &path))
+        py.detach(|| saved::export(&self.read().map, &config, &path))
     }
 
     /// Frees the memory of everything that is kept to mesh what changes.

@@ -6,8 +6,7 @@ use glam::{DVec2, DVec3, IVec3};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use tsdfuse::index::BlockIndex;
-use tsdfuse::mesh::{MeshConfig, Piece, Surface, extract};
+use tsdfuse::mesh::{MeshConfig, Surface, extract};
 use tsdfuse::raster::Raster;
 use tsdfuse_plan::occupancy::State;
 use tsdfuse_plan::{EsdfConfig, GroundConfig, GroundGrid, MovingConfig, OccupancyConfig};
@@ -15,6 +14,7 @@ use tsdfuse_plan::{EsdfConfig, GroundConfig, GroundGrid, MovingConfig, Occupancy
 use crate::arrays::{IntoRows, Rows};
 use crate::error::{OrRaise, wrong};
 use crate::map::{Changes, Map};
+use crate::piece::OwnPiece;
 use crate::scan::Scan;
 
 /// Euclidean distances to the nearest surface, which follow a map.
@@ -109,24 +109,6 @@ impl Esdf {
             PyArray1::from_vec(py, dense.values).reshape(dense.size)?,
             dense.low.to_array(),
         ))
-    }
-}
-
-/// A piece of a surface, on its way from Python.
-pub(crate) struct OwnPiece {
-    pub(crate) block: IVec3,
-    pub(crate) vertices: Vec<DVec3>,
-    pub(crate) triangles: Vec<[u32; 3]>,
-}
-
-impl OwnPiece {
-    fn as_piece(&self) -> Piece<'_> {
-        Piece {
-            block: BlockIndex(self.block),
-            vertices: &self.vertices,
-            normals: &[],
-            triangles: &self.triangles,
-        }
     }
 }
 

@@ -12,9 +12,9 @@ use crate::error::{OrRaise, wrong};
 use crate::log::Log;
 use crate::map::{Changes, Map, Pieces};
 use crate::mesh::Mesh;
-use crate::odometry::Trajectory;
 use crate::scan::Scan;
 use crate::sensor;
+use crate::trajectory::Trajectory;
 use crate::watch::work;
 
 /// A log without scans, whose sensors are known: scans come from Python.

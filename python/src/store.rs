@@ -1,24 +1,19 @@
-//! Stores, and reading maps of either kind.
+//! Stores.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use pyo3::prelude::*;
-use tsdfuse::VoxelMap;
-use tsdfuse::mesh::{MeshConfig, extract_with};
-use tsdfuse_io::map_file::{self, FusedPose};
-use tsdfuse_io::{npz, ply};
+use tsdfuse::mesh::MeshConfig;
 use tsdfuse_run::report::MapReport;
-use tsdfuse_run::{RunError, scene, surface};
+use tsdfuse_run::{scene, surface};
 use tsdfuse_store::PagedMap;
 
 use crate::data::to_python;
-use crate::error::{OrRaise, wrong};
+use crate::error::OrRaise;
 use crate::map::Map;
-use crate::odometry::Trajectory;
-
-/// Blocks of a store that are in memory while it is read.
-const STORE_BYTES: usize = 256 << 20;
+use crate::saved::{STORE_BYTES, whole};
+use crate::trajectory::Trajectory;
 
 /// A map of which only a part is in memory: opened for reading.
 #[pyclass(frozen, module = "tsdfuse")]
@@ -102,58 +97,4 @@ impl Store {
         let (path, blocks) = (self.path(py), self.blocks(py));
         format!("<Store {path:?}: {blocks} blocks>")
     }
-}
-
-/// All of a store.
-fn whole(store: &mut PagedMap) -> Result<(VoxelMap, Vec<FusedPose>), RunError> {
-    let mut map = VoxelMap::new(*store.config())?;
-    map.set_integrations(store.integrations());
-    store.for_each_region(|part, region| {
-        for (index, block) in part.blocks_of(region) {
-            map.insert_block(index, block.clone())?;
-        }
-        Ok::<_, RunError>(())
-    })?;
-    Ok((map, store.poses().to_vec()))
-}
-
-/// Reads a saved map or a store, with the poses of its scans.
-pub(crate) fn read_any(path: &Path) -> Result<(VoxelMap, Vec<FusedPose>), RunError> {
-    if tsdfuse_store::recognises(path) {
-        return whole(&mut PagedMap::open_read_only(path, Some(STORE_BYTES))?.0);
-    }
-    Ok(map_file::read_with_poses(path)?)
-}
-
-/// Writes a map as arrays (`.npz`, `.zarr`), or its surface as points (`.ply`).
-pub(crate) fn export(map: &VoxelMap, config: &MeshConfig, path: &Path) -> PyResult<()> {
-    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-    match extension.as_deref() {
-        Some("npz") => npz::write(path, map).or_raise(),
-        Some("ply") => ply::write_vertices(path, &extract_with(map, config).or_raise()?).or_raise(),
-        Some("zarr") => zarr(map, path),
-        _ => Err(wrong(format_args!(
-            "{}: a map is exported as .npz, .zarr or .ply",
-            path.display()
-        ))),
-    }
-}
-
-#[cfg(feature = "zarr")]
-fn zarr(map: &VoxelMap, path: &Path) -> PyResult<()> {
-    use rayon::prelude::*;
-    use tsdfuse_io::zarr::Volume;
-
-    tsdfuse_io::atomic::check_folder(path).or_raise()?;
-    let regions = map.regions();
-    let volume = Volume::create(path, map.config(), &regions).or_raise()?;
-    let write = |&region| volume.region(region, map.blocks_of(region));
-    regions.par_iter().try_for_each(write).or_raise()?;
-    volume.finish().or_raise()
-}
-
-#[cfg(not(feature = "zarr"))]
-fn zarr(_: &VoxelMap, path: &Path) -> PyResult<()> {
-    let told = "this build writes no Zarr arrays: it was made without the feature zarr";
-    Err(wrong(format_args!("{}: {told}", path.display())))
 }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use crate::cells::{Cells, Plane};
 use crate::motion::Motion;
-use crate::register::{GRAIN, KERNEL, Return, kernel};
+use crate::returns::{GRAIN, KERNEL, Return, kernel};
 
 /// A direction is weak if the returns tell this many times less about it than about the next one, information.
 const WEAK: f64 = 0.05;

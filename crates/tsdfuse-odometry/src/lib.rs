@@ -9,6 +9,7 @@ mod motion;
 mod mounting;
 mod refiner;
 mod register;
+mod returns;
 mod sample;
 mod surfaces;
 mod systematic;

@@ -10,7 +10,8 @@ use tsdfuse::Pose;
 
 use crate::cells::Cells;
 use crate::motion::{Motion, turn_of};
-use crate::register::{KERNEL, Prediction, Registered, Return, kernel, register};
+use crate::register::{Prediction, Registered, register};
+use crate::returns::{KERNEL, Return, kernel};
 
 /// Returns by which a pose is judged before it is registered.
 const JUDGES: usize = 300;

@@ -5,7 +5,7 @@
 //! McClure), whose width shrinks from what the prediction may be off to what noise explains. What the returns do not determine is held by
 //! the prediction: where the last sweep ended, and the motion as it was or as gyroscopes measured it.
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, DVec3};
 use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 use rayon::prelude::*;
 use tsdfuse::Pose;
@@ -13,18 +13,13 @@ use tsdfuse::Pose;
 use crate::along::{Drift, Sought, sought_along, weak_direction};
 use crate::cells::{Cells, Found};
 use crate::motion::{Motion, Twist, turn_of};
+use crate::returns::{GRAIN, KERNEL, Return, kernel};
 
 /// Moments of a sweep whose poses are sought.
 pub(crate) const KNOTS: usize = 3;
 
-/// Returns that one thread sums up at a time. The sums are added in order, so threads change no bit.
-pub(crate) const GRAIN: usize = 512;
-
 /// The share of returns that count: neighbours share the errors of their plane.
 const INDEPENDENT: f64 = 0.05;
-
-/// The kernel's width where the motion has converged, in standard deviations.
-pub(crate) const KERNEL: f64 = 2.5;
 
 /// Of so many returns one is used until the kernel has its last width; returns are ordered for that.
 pub(crate) const COARSE: usize = 3;
@@ -34,15 +29,6 @@ const HELD: f64 = 1e6;
 
 /// Passes at most.
 const MOST_PASSES: usize = 14;
-
-/// A return to register: in the sensor frame, at a share of the sweep.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Return {
-    pub(crate) point: Vec3,
-    pub(crate) share: f32,
-    /// Of its beam, if that is known.
-    pub(crate) ring: Option<u16>,
-}
 
 /// What is known of a sweep's motion before its returns are looked at.
 #[derive(Clone, Debug)]
@@ -212,11 +198,6 @@ pub(crate) fn recentred(from: DVec3, to: DVec3) -> Matrix6<f64> {
     // shift at `from` = shift at `to` + turn × (from − to)
     put(&mut m, 0, 3, -cross(from - to));
     m
-}
-
-/// The weight of a residual, after Geman and McClure; `scale` is the square of the kernel's width.
-pub(crate) fn kernel(r: f64, scale: f64) -> f64 {
-    (scale / (scale + r * r)).powi(2)
 }
 
 /// The sums over all returns for a motion; `width` adds to the kernel's, metres.
@@ -450,6 +431,8 @@ fn marginal_of_last(h: &DMatrix<f64>, knots: usize) -> Matrix6<f64> {
 #[cfg(test)]
 mod tests {
     use glam::DQuat;
+
+    use glam::Vec3;
 
     use super::*;
 

@@ -7,7 +7,8 @@ use tsdfuse::Scan;
 
 use crate::cells::{Seen, elevation_bit};
 use crate::motion::Motion;
-use crate::register::{COARSE, Return};
+use crate::register::COARSE;
+use crate::returns::Return;
 
 /// The span of a sweep and its returns, spread evenly over space.
 #[derive(Clone, Debug)]

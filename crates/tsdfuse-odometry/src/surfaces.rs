@@ -6,7 +6,8 @@ use tsdfuse::Pose;
 
 use crate::cells::{Cells, Seen, elevation_bit};
 use crate::motion::Motion;
-use crate::register::{COARSE, Prediction, Return, recentred, register};
+use crate::register::{COARSE, Prediction, recentred, register};
+use crate::returns::Return;
 use crate::tracker::{OdometryConfig, Quality};
 
 /// What the rough pose of a registration may be off, metres and radians.

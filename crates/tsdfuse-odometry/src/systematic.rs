@@ -12,7 +12,7 @@ use tsdfuse::sensor::{BeamCorrection, SensorCorrection};
 
 use crate::cells::Cells;
 use crate::motion::Motion;
-use crate::register::{KERNEL, Return, kernel};
+use crate::returns::{KERNEL, Return, kernel};
 
 /// What refinement does about systematic errors of the sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -10,8 +10,8 @@ use crate::device::Device;
 use crate::error::{Result, RunError};
 use crate::event::{Event, Observer};
 use crate::outputs::Outputs;
+use crate::poses_from::PosesFrom;
 use crate::settings::Settings;
-use crate::tracking::PosesFrom;
 
 /// A log and how it is opened.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

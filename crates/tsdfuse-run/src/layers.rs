@@ -5,12 +5,37 @@ use std::path::Path;
 use rayon::prelude::*;
 use tsdfuse::glam::DVec3;
 use tsdfuse::{MapConfig, Mesh};
+use tsdfuse_view::Paint;
 
 use crate::error::Result;
 use crate::intensity::{self, Intensity};
 use crate::layer::{Layer, path_beside};
 use crate::paint::{Painted, UNSEEN, linear, srgb};
-use crate::surface::Painting;
+
+/// What is known of the vertices of a mesh.
+#[derive(Clone, Debug, Default)]
+pub struct Painting {
+    /// Their colours.
+    pub colors: Option<Painted>,
+    /// Their intensities.
+    pub intensities: Option<Vec<f32>>,
+}
+
+impl Painting {
+    /// The mesh with all of that, for pages and views.
+    pub fn with<T>(&self, mesh: &Mesh, show: impl FnOnce(&tsdfuse_view::Surface<'_>) -> T) -> T {
+        let channels = self.intensities.iter();
+        let channels: Vec<_> = channels
+            .map(|values| (intensity::channel(values), values.as_slice()))
+            .collect();
+        let colors = self.colors.as_ref().map(|painted| painted.colors.as_slice());
+        let paint = Paint {
+            colors: colors.unwrap_or_default(),
+            channels: &channels,
+        };
+        show(&tsdfuse_view::Surface { mesh, paint })
+    }
+}
 
 /// The layers of red, green and blue light, linear: f = 2v − 1 of a share v of white.
 #[derive(Debug)]

@@ -12,11 +12,11 @@ use crate::event::{Event, Observer, Stop};
 use crate::job::{Job, is_unplaced};
 use crate::load::Loading;
 use crate::machine::peak_memory_bytes;
+use crate::poses_from::PosesFrom;
 use crate::recording::Recording;
 use crate::report::{GrowthReport, LogReport, Report};
 use crate::session::Session;
 use crate::setup::{Placing, Setup};
-use crate::tracking::PosesFrom;
 
 impl Job {
     /// Runs from the beginning to the last file.

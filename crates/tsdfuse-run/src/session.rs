@@ -22,7 +22,7 @@ use crate::gpu;
 use crate::intensity::Intensity;
 use crate::job::Job;
 use crate::labels;
-use crate::layers::{Colors, Layers};
+use crate::layers::{Colors, Layers, Painting};
 use crate::load::Loading;
 use crate::memory::InMemory;
 use crate::paged::Paged;
@@ -33,7 +33,7 @@ use crate::report::{
 };
 use crate::scene;
 use crate::setup::{Placing, Setup};
-use crate::surface::{self, Painting};
+use crate::surface;
 use crate::tracking::{self, Refinement, Tracking};
 use crate::view;
 use tsdfuse_odometry::Quality;

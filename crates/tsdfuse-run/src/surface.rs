@@ -8,11 +8,11 @@ use tsdfuse::glam::{DVec3, Vec3};
 use tsdfuse::mesh::{Mesh, MeshConfig, MeshSink, Surface, extract_with};
 use tsdfuse_io::ply;
 use tsdfuse_store::PagedMap;
-use tsdfuse_view::{Paint, Scene, page};
+use tsdfuse_view::{Scene, page};
 
 use crate::error::{Result, RunError};
 use crate::intensity;
-use crate::layers::Layers;
+use crate::layers::{Layers, Painting};
 use crate::paint::Painted;
 use crate::report::{ColorReport, MeshReport, SavedMap};
 
@@ -133,31 +133,6 @@ pub(crate) fn write_mesh(
         write_seconds: start.elapsed().as_secs_f64() - seconds,
         ..MeshReport::default()
     })
-}
-
-/// What is known of the vertices of a mesh.
-#[derive(Clone, Debug, Default)]
-pub struct Painting {
-    /// Their colours.
-    pub colors: Option<Painted>,
-    /// Their intensities.
-    pub intensities: Option<Vec<f32>>,
-}
-
-impl Painting {
-    /// The mesh with all of that, for pages and views.
-    pub fn with<T>(&self, mesh: &Mesh, show: impl FnOnce(&tsdfuse_view::Surface<'_>) -> T) -> T {
-        let channels = self.intensities.iter();
-        let channels: Vec<_> = channels
-            .map(|values| (intensity::channel(values), values.as_slice()))
-            .collect();
-        let colors = self.colors.as_ref().map(|painted| painted.colors.as_slice());
-        let paint = Paint {
-            colors: colors.unwrap_or_default(),
-            channels: &channels,
-        };
-        show(&tsdfuse_view::Surface { mesh, paint })
-    }
 }
 
 /// Writes a mesh that was extracted from a map, with what is known of its vertices, as `.ply`, `.glb` or `.html`. Formats that have

@@ -4,7 +4,7 @@ use std::collections::{HashMap, VecDeque};
 use std::path::Path;
 use std::time::Instant;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use tsdfuse::mesh;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::sensor::SensorCorrection;
@@ -24,21 +24,6 @@ use crate::event::{Event, Observer, Stop};
 use crate::load::Loading;
 use crate::loops::{Loops, LoopsReport};
 use crate::report::OdometryReport;
-
-/// Where the poses of scans come from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PosesFrom {
-    /// From the log (or the pose file that is named); by odometry if there are none.
-    #[default]
-    Any,
-    /// From the log (or the pose file that is named).
-    Log,
-    /// By odometry, whatever the log has.
-    Track,
-    /// From the log (or the pose file that is named), refined: each scan is registered to what the others saw.
-    Refine,
-}
 
 /// Scans on their way through the tracker.
 pub(crate) struct Tracking {
