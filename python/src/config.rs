@@ -125,10 +125,7 @@ impl Config {
     fn resolve<'py>(&self, py: Python<'py>, log: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
         let resolved = match log {
             Some(log) => {
-                let suggested = log
-                    .call_method0("suggested")?
-                    .extract::<PyRef<'_, Self>>()?
-                    .resolved()?;
+                let suggested = log.getattr("suggested")?.extract::<PyRef<'_, Self>>()?.resolved()?;
                 self.0.resolve_over(&suggested).or_raise()?
             }
             None => self.resolved()?,
