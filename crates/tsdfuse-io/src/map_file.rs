@@ -10,6 +10,8 @@ use crate::error::{Error, Result};
 
 mod format;
 mod fused;
+mod group;
+mod layout;
 mod pack;
 mod reader;
 mod repair;
@@ -102,7 +104,13 @@ pub(crate) fn forged(mut bytes: &[u8]) -> Vec<u8> {
     let (mut blocks, mut number) = (0, 0);
     while let [promised, low, high, rest @ ..] = bytes {
         let (packed, rest) = rest.split_at(usize::from(u16::from_le_bytes([*low, *high])).min(rest.len()));
-        file.extend(format::GroupHeader::bytes(number, usize::from(*promised), packed));
+        let layout = [layout::Layout::Planes, layout::Layout::Blocks][number as usize % 2];
+        file.extend(group::GroupHeader::bytes(
+            layout,
+            number,
+            usize::from(*promised),
+            packed,
+        ));
         file.extend(packed);
         (blocks, number, bytes) = (blocks + u64::from(*promised), number + 1, rest);
     }

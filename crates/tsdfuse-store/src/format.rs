@@ -25,8 +25,8 @@ pub(crate) const PAGE: u64 = 4096;
 
 /// The first bytes of a header.
 pub(crate) const MAGIC: [u8; 8] = *b"TSDFSTO\n";
-/// Version 1 has no poses; it is read.
-const VERSION: u32 = 2;
+/// Version 2 has its blocks as maps of version 3 have them, version 1 no poses, either; both are read.
+const VERSION: u32 = 3;
 /// The first bytes of an index.
 const INDEX_MARK: [u8; 8] = *b"TSDFID2\n";
 /// The same in version 1.

@@ -3,20 +3,15 @@
 use std::io::{self, Read};
 use std::path::Path;
 
-use lz4_flex::block::{decompress_into, get_maximum_output_size};
-use tsdfuse::glam::IVec3;
-use tsdfuse::index::{BLOCK_VOXELS, BlockIndex};
-use tsdfuse::map::{Block, MapConfig, MapError, Voxel, WEIGHT_SCALE};
+use tsdfuse::map::{MapConfig, MapError, WEIGHT_SCALE};
 
 use crate::error::Error;
 
 pub(super) const MAGIC: [u8; 8] = *b"TSDFMAP\n";
-/// The newest version: a map with the poses of its scans.
-pub(super) const VERSION: u32 = 3;
-/// The version of a map without them; it is the same otherwise.
+/// The version that is written.
+pub(super) const VERSION: u32 = 4;
+/// The last version without the poses of the scans.
 pub(super) const WITHOUT_POSES: u32 = 2;
-/// Marks the beginning of a group.
-pub(super) const GROUP_MARK: [u8; 8] = *b"TSDFGRP\n";
 /// Marks the poses of the scans.
 pub(super) const POSES_MARK: [u8; 8] = *b"TSDFPOS\n";
 /// Marks the end of the groups.
@@ -34,8 +29,6 @@ pub(super) const POSES_HEADER: usize = 16;
 pub(super) const END: usize = 16 + HEADER;
 /// Blocks in a group; the last one may hold fewer.
 pub(super) const GROUP: usize = 256;
-/// Bytes of a block: three coordinates, then two sums for each voxel.
-pub(super) const BLOCK: usize = 12 + 8 * BLOCK_VOXELS;
 
 /// Why a part of the file cannot be read.
 #[derive(Debug)]
@@ -94,7 +87,7 @@ impl Header {
         self.version > WITHOUT_POSES
     }
 
-    /// The bytes of version 2 or 3, without their checksum.
+    /// The bytes of version 2 or later, without their checksum.
     pub(super) fn bytes(version: u32, config: &MapConfig, integrations: u32) -> [u8; HEADER] {
         let mut header = Vec::with_capacity(HEADER);
         header.extend(MAGIC);
@@ -155,55 +148,6 @@ impl Header {
     }
 }
 
-/// What precedes the blocks of a group (from version 2 on).
-pub(super) struct GroupHeader {
-    pub(super) number: u32,
-    pub(super) blocks: usize,
-    pub(super) length: usize,
-    checksum: u32,
-}
-
-impl GroupHeader {
-    /// The bytes, their checksum included.
-    pub(super) fn bytes(number: u32, blocks: usize, packed: &[u8]) -> Vec<u8> {
-        let mut bytes = GROUP_MARK.to_vec();
-        for field in [number, blocks as u32, packed.len() as u32, checksum(&[packed])] {
-            bytes.extend(field.to_le_bytes());
-        }
-        bytes.extend(checksum(&[&bytes]).to_le_bytes());
-        bytes
-    }
-
-    /// Reads what follows the mark.
-    pub(super) fn read(bytes: &mut impl Read) -> Result<Self, Wrong> {
-        let fields: [u8; GROUP_HEADER - 8] = array(bytes)?;
-        if u32::from_le_bytes(array(bytes)?) != checksum(&[&GROUP_MARK, &fields]) {
-            return wrong(CHANGED);
-        }
-        let mut fields = fields.as_slice();
-        let mut field = || array(&mut fields).map(u32::from_le_bytes);
-        let header = Self {
-            number: field()?,
-            blocks: field()? as usize,
-            length: field()? as usize,
-            checksum: field()?,
-        };
-        if !(1..=GROUP).contains(&header.blocks) {
-            return wrong(format!("it has {} blocks; 1 to {GROUP} are possible", header.blocks));
-        }
-        check_length(header.length, header.blocks)?;
-        Ok(header)
-    }
-
-    /// Checks the compressed bytes of the group and decompresses its blocks.
-    pub(super) fn unpack(&self, packed: &[u8], plain: &mut Vec<u8>) -> Result<(), Wrong> {
-        if checksum(&[packed]) != self.checksum {
-            return wrong(CHANGED);
-        }
-        unpack(packed, self.blocks, plain)
-    }
-}
-
 /// The bytes of the end, with their checksum.
 pub(super) fn end_bytes(header: &[u8; HEADER], blocks: u64) -> Vec<u8> {
     let mut bytes = END_MARK.to_vec();
@@ -221,49 +165,6 @@ pub(super) fn read_end(bytes: &mut impl Read) -> Result<(Header, u64), Wrong> {
     }
     let (header, mut blocks) = fields.split_at(HEADER);
     Ok((Header::parse(header)?, u64::from_le_bytes(array(&mut blocks)?)))
-}
-
-/// Refuses more compressed bytes than this number of blocks can take.
-pub(super) fn check_length(length: usize, blocks: usize) -> Result<(), Wrong> {
-    if length > get_maximum_output_size(blocks * BLOCK) {
-        return wrong(format!("{length} bytes are more than its blocks can take"));
-    }
-    Ok(())
-}
-
-/// Decompresses the blocks of a group.
-pub(super) fn unpack(packed: &[u8], blocks: usize, plain: &mut Vec<u8>) -> Result<(), Wrong> {
-    plain.resize(blocks * BLOCK, 0);
-    match decompress_into(packed, plain) {
-        Ok(n) if n == plain.len() => Ok(()),
-        Ok(n) => wrong(format!("{n} bytes instead of {}", plain.len())),
-        Err(e) => wrong(e.to_string()),
-    }
-}
-
-/// Appends the bytes of a block.
-pub(super) fn push_block(index: BlockIndex, block: &Block, plain: &mut Vec<u8>) {
-    index.0.to_array().iter().for_each(|c| plain.extend(c.to_le_bytes()));
-    for voxel in &block.voxels {
-        plain.extend(voxel.weight_sum.to_le_bytes());
-        plain.extend(voxel.distance_sum.to_le_bytes());
-    }
-}
-
-/// Parses a block.
-pub(super) fn block_of(mut bytes: &[u8]) -> io::Result<(BlockIndex, Block)> {
-    let mut coordinate = || array(&mut bytes).map(i32::from_le_bytes);
-    let index = BlockIndex(IVec3::new(coordinate()?, coordinate()?, coordinate()?));
-    let mut block = Block::EMPTY;
-    let (sums, _) = bytes.as_chunks::<4>();
-    let (sums, _) = sums.as_chunks::<2>();
-    for (voxel, &[weight, distance]) in block.voxels.iter_mut().zip(sums) {
-        *voxel = Voxel {
-            weight_sum: u32::from_le_bytes(weight),
-            distance_sum: i32::from_le_bytes(distance),
-        };
-    }
-    Ok((index, block))
 }
 
 /// The CRC-32 of some parts, one after the other.

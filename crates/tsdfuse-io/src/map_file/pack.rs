@@ -2,25 +2,25 @@
 
 use std::io::{self, Error, ErrorKind};
 
-use lz4_flex::block::compress;
 use tsdfuse::index::BlockIndex;
 use tsdfuse::map::{Block, MapError};
 
-use super::format::{BLOCK, GROUP, GROUP_MARK, GroupHeader, Wrong, array, block_of, push_block, wrong};
+use super::format::{GROUP, Wrong, array, wrong};
+use super::group::{self, GroupHeader};
+use super::layout::{Layout, Planes};
 
 /// Compresses blocks, with checksums.
 pub fn pack<'a>(blocks: impl IntoIterator<Item = (BlockIndex, &'a Block)>) -> Vec<u8> {
-    let mut blocks = blocks.into_iter().peekable();
-    let (mut packed, mut plain, mut number) = (Vec::new(), Vec::new(), 0);
-    while blocks.peek().is_some() {
-        plain.clear();
-        for (index, block) in blocks.by_ref().take(GROUP) {
-            push_block(index, block, &mut plain);
+    let (mut packed, mut group, mut number) = (Vec::new(), Planes::default(), 0);
+    for (index, block) in blocks {
+        group.push(index, block);
+        if group.count() == GROUP {
+            group::push(number, &mut group, &mut packed);
+            number += 1;
         }
-        let group = compress(&plain);
-        packed.extend(GroupHeader::bytes(number, plain.len() / BLOCK, &group));
-        packed.extend(group);
-        number += 1;
+    }
+    if group.count() > 0 {
+        group::push(number, &mut group, &mut packed);
     }
     packed
 }
@@ -32,7 +32,7 @@ pub fn pack<'a>(blocks: impl IntoIterator<Item = (BlockIndex, &'a Block)>) -> Ve
 pub fn unpack(mut packed: &[u8], mut take: impl FnMut(BlockIndex, Block) -> Result<(), MapError>) -> io::Result<()> {
     let mut plain = Vec::new();
     while !packed.is_empty() {
-        group(&mut packed, &mut plain, &mut take).map_err(|e| match e {
+        next_group(&mut packed, &mut plain, &mut take).map_err(|e| match e {
             Wrong::System(e) if e.kind() == ErrorKind::OutOfMemory => e,
             Wrong::System(e) => Error::new(ErrorKind::InvalidData, e),
             Wrong::Reason(reason) => Error::new(ErrorKind::InvalidData, reason),
@@ -41,23 +41,18 @@ pub fn unpack(mut packed: &[u8], mut take: impl FnMut(BlockIndex, Block) -> Resu
     Ok(())
 }
 
-fn group(
+fn next_group(
     packed: &mut &[u8],
     plain: &mut Vec<u8>,
     take: &mut impl FnMut(BlockIndex, Block) -> Result<(), MapError>,
 ) -> Result<(), Wrong> {
-    if array(packed)? != GROUP_MARK {
+    let Some(layout) = Layout::of(&array::<8>(packed)?) else {
         return wrong("no blocks begin there");
-    }
-    let header = GroupHeader::read(packed)?;
+    };
+    let header = GroupHeader::read(layout, packed)?;
     let Some((bytes, rest)) = packed.split_at_checked(header.length) else {
         return wrong("they end early");
     };
     *packed = rest;
-    header.unpack(bytes, plain)?;
-    for block in plain.chunks_exact(BLOCK) {
-        let (index, block) = block_of(block)?;
-        take(index, block)?;
-    }
-    Ok(())
+    header.unpack(bytes, plain, |index, block| Ok(take(index, block)?))
 }

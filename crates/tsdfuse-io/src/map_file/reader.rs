@@ -7,11 +7,10 @@ use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::map::{Block, MapError};
 use tsdfuse::{MapConfig, VoxelMap};
 
-use super::format::{
-    BLOCK, CHANGED, END_MARK, GROUP, GROUP_MARK, GroupHeader, Header, Wrong, array, block_of, check_length, checksum,
-    read_end, unpack, wrong,
-};
+use super::format::{CHANGED, END_MARK, GROUP, Header, Wrong, array, checksum, read_end, wrong};
 use super::fused::{FusedPose, read_poses};
+use super::group::GroupHeader;
+use super::layout::Layout;
 use crate::error::{Error, Result};
 
 /// A saved map that is read group by group, so that at most one group is in memory, about 1 MiB, the poses of the scans, and what the
@@ -94,26 +93,21 @@ impl<R: Read> Reader<R> {
     /// # Errors
     /// Names the file and the group of blocks in which something is wrong, or a block of which `take` refused.
     pub fn for_each_block(mut self, mut take: impl FnMut(BlockIndex, Block) -> Result<(), MapError>) -> Result<()> {
-        let mut last = None;
-        loop {
-            let more = self.next_group().map_err(|e| e.at(&self.path, &self.part()))?;
-            if !more {
-                break;
+        let (mut last, version) = (None, self.header.version);
+        let mut in_order = |index: BlockIndex, block| {
+            let place = match version {
+                1 => (RegionIndex(tsdfuse::glam::IVec3::ZERO), index),
+                _ => (RegionIndex::of(index), index),
+            };
+            if last.replace(place) >= Some(place) {
+                return wrong(format!("block {:?} is not in order", index.0.to_array()));
             }
-            for bytes in self.plain.chunks_exact(BLOCK) {
-                let mut insert = || {
-                    let (index, block) = block_of(bytes)?;
-                    let place = match self.header.version {
-                        1 => (RegionIndex(tsdfuse::glam::IVec3::ZERO), index),
-                        _ => (RegionIndex::of(index), index),
-                    };
-                    if last.replace(place) >= Some(place) {
-                        return wrong(format!("block {:?} is not in order", index.0.to_array()));
-                    }
-                    Ok(take(index, block)?)
-                };
-                insert().map_err(|e| e.at(&self.path, &self.part()))?;
-            }
+            Ok(take(index, block)?)
+        };
+        while self
+            .next_group(&mut in_order)
+            .map_err(|e| e.at(&self.path, &self.part()))?
+        {
             self.groups += 1;
         }
         match self.bytes.read(&mut [0]).map_err(Error::io(&self.path))? {
@@ -138,15 +132,15 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Reads the next group; false after the last one.
-    fn next_group(&mut self) -> Result<bool, Wrong> {
+    /// Hands out the blocks of the next group; false after the last one.
+    fn next_group(&mut self, take: impl FnMut(BlockIndex, Block) -> Result<(), Wrong>) -> Result<bool, Wrong> {
         match self.header.blocks {
-            Some(count) => self.next_group_1(count),
-            None => self.next_group_2(),
+            Some(count) => self.next_group_1(count, take),
+            None => self.next_group_2(take),
         }
     }
 
-    fn next_group_2(&mut self) -> Result<bool, Wrong> {
+    fn next_group_2(&mut self, take: impl FnMut(BlockIndex, Block) -> Result<(), Wrong>) -> Result<bool, Wrong> {
         let mark: [u8; 8] = array(&mut self.bytes)?;
         if mark == END_MARK {
             let (header, blocks) = read_end(&mut self.bytes)?;
@@ -158,10 +152,10 @@ impl<R: Read> Reader<R> {
             }
             return Ok(false);
         }
-        if mark != GROUP_MARK {
+        let Some(layout) = Layout::of(&mark) else {
             return wrong(CHANGED);
-        }
-        let group = GroupHeader::read(&mut self.bytes)?;
+        };
+        let group = GroupHeader::read(layout, &mut self.bytes)?;
         if u64::from(group.number) != self.groups {
             return wrong(format!(
                 "it is group {}, so others are missing",
@@ -170,12 +164,16 @@ impl<R: Read> Reader<R> {
         }
         self.packed.resize(group.length, 0);
         self.bytes.read_exact(&mut self.packed)?;
-        group.unpack(&self.packed, &mut self.plain)?;
+        group.unpack(&self.packed, &mut self.plain, take)?;
         self.blocks += group.blocks as u64;
         Ok(true)
     }
 
-    fn next_group_1(&mut self, count: u64) -> Result<bool, Wrong> {
+    fn next_group_1(
+        &mut self,
+        count: u64,
+        take: impl FnMut(BlockIndex, Block) -> Result<(), Wrong>,
+    ) -> Result<bool, Wrong> {
         let blocks = (count - self.blocks).min(GROUP as u64) as usize;
         if blocks == 0 {
             return Ok(false);
@@ -183,13 +181,13 @@ impl<R: Read> Reader<R> {
         let length: [u8; 4] = array(&mut self.bytes)?;
         let expected = u32::from_le_bytes(array(&mut self.bytes)?);
         let size = u32::from_le_bytes(length) as usize;
-        check_length(size, blocks)?;
+        Layout::Blocks.check_length(size, blocks)?;
         self.packed.resize(size, 0);
         self.bytes.read_exact(&mut self.packed)?;
         if checksum(&[&length, &self.packed]) != expected {
             return wrong(CHANGED);
         }
-        unpack(&self.packed, blocks, &mut self.plain)?;
+        Layout::Blocks.unpack(&self.packed, blocks, &mut self.plain, take)?;
         self.blocks += blocks as u64;
         Ok(true)
     }

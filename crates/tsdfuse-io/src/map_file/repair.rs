@@ -6,10 +6,10 @@ use std::path::Path;
 use serde::Serialize;
 use tsdfuse::{MapConfig, VoxelMap};
 
-use super::format::{
-    BLOCK, END, END_MARK, GROUP_HEADER, GROUP_MARK, GroupHeader, HEADER, Header, Wrong, block_of, read_end, wrong,
-};
+use super::format::{END, END_MARK, GROUP_HEADER, HEADER, Header, Wrong, read_end, wrong};
 use super::fused::{FusedPose, read_poses};
+use super::group::GroupHeader;
+use super::layout::Layout;
 use super::reader::Reader;
 use crate::error::{Error, Result};
 
@@ -79,7 +79,7 @@ pub(super) fn into(path: &Path, bytes: &[u8], new: impl Fn(&MapConfig) -> Result
     let (mut at, mut expected) = (HEADER + 4, 0);
     let stop = end.map_or(bytes.len(), |(.., at)| at);
     let next_group = |from| {
-        find(bytes, from, &GROUP_MARK)
+        find(bytes, from, |mark| Layout::of(mark).is_some())
             .filter(|&next| next < stop)
             .unwrap_or(stop)
     };
@@ -139,20 +139,20 @@ fn missing(expected: u32, number: u32) -> String {
 /// Puts the group that begins at a byte into the map. Returns its number, and where the next one begins.
 fn group(bytes: &[u8], at: usize, map: &mut VoxelMap) -> Result<(u32, usize), Wrong> {
     let rest = bytes.get(at..).unwrap_or_default();
-    if !rest.starts_with(&GROUP_MARK) {
+    let Some((mark, fields)) = rest.split_first_chunk::<8>() else {
+        return wrong("the file ends within them");
+    };
+    let Some(layout) = Layout::of(mark) else {
         return wrong("no group begins there");
-    }
-    let header = GroupHeader::read(&mut &rest[GROUP_MARK.len()..])?;
+    };
+    let header = GroupHeader::read(layout, &mut &*fields)?;
     let start = GROUP_HEADER + 4;
     let Some(packed) = rest.get(start..start + header.length) else {
         return wrong("the file ends within them");
     };
-    let mut plain = Vec::new();
-    header.unpack(packed, &mut plain)?;
-    for block in plain.chunks_exact(BLOCK) {
-        let (index, block) = block_of(block)?;
-        map.insert_block(index, block)?;
-    }
+    header.unpack(packed, &mut Vec::new(), |index, block| {
+        Ok(map.insert_block(index, block)?)
+    })?;
     Ok((header.number, at + start + header.length))
 }
 
@@ -164,7 +164,7 @@ fn last_end(bytes: &[u8]) -> Option<(Header, u64, usize)> {
     if !bytes[at..].starts_with(&END_MARK) {
         at = 0;
     }
-    while let Some(next) = find(bytes, at, &END_MARK) {
+    while let Some(next) = find(bytes, at, |mark| mark == END_MARK) {
         if let Ok((header, blocks)) = read_end(&mut &bytes[next + END_MARK.len()..]) {
             found = Some((header, blocks, next));
         }
@@ -173,12 +173,10 @@ fn last_end(bytes: &[u8]) -> Option<(Header, u64, usize)> {
     found
 }
 
-/// The next place of a mark.
-fn find(bytes: &[u8], from: usize, mark: &[u8; 8]) -> Option<usize> {
+/// The next place of such a mark.
+fn find(bytes: &[u8], from: usize, is_it: impl Fn(&[u8]) -> bool) -> Option<usize> {
     let rest = bytes.get(from..)?;
-    rest.windows(mark.len())
-        .position(|window| window == mark)
-        .map(|at| from + at)
+    rest.windows(END_MARK.len()).position(is_it).map(|at| from + at)
 }
 
 fn reason(wrong: Wrong, part: &str) -> String {

@@ -1,8 +1,8 @@
 use std::sync::LazyLock;
 
-use super::format::{
-    BLOCK, CHANGED, END, GROUP, GROUP_HEADER, GroupHeader, HEADER, HEADER_1, Header, checksum, end_bytes, push_block,
-};
+use super::format::{CHANGED, END, GROUP, GROUP_HEADER, HEADER, HEADER_1, Header, WITHOUT_POSES, checksum, end_bytes};
+use super::group::GroupHeader;
+use super::layout::{BLOCK, Layout, push_block};
 use super::*;
 use proptest::prelude::*;
 use tsdfuse::glam::{DQuat, DVec3, IVec3};
@@ -50,9 +50,12 @@ fn refused(bytes: &[u8]) -> String {
     told
 }
 
+/// Bytes before the groups where there are no poses.
+const START: usize = HEADER + 4 + 20;
+
 /// Where the groups begin, and where the end does.
 fn group_offsets(bytes: &[u8]) -> Vec<usize> {
-    let mut offsets = vec![HEADER + 4];
+    let mut offsets = vec![START];
     while bytes[offsets[offsets.len() - 1]..].len() > END + 4 {
         let at = offsets[offsets.len() - 1];
         let length = u32::from_le_bytes(bytes[at + 16..at + 20].try_into().unwrap());
@@ -62,15 +65,43 @@ fn group_offsets(bytes: &[u8]) -> Vec<usize> {
 }
 
 /// A file of one group with right checksums that says it has so many blocks.
-fn forged(count: u64, plain: &[u8]) -> Vec<u8> {
-    let packed = lz4_flex::block::compress(plain);
-    forged_packed(count, &GroupHeader::bytes(0, count as usize, &packed), &packed)
+fn forged(layout: Layout, count: u64, plain: &[u8]) -> Vec<u8> {
+    forged_packed(layout, count, &lz4_flex::block::compress(plain))
 }
 
-fn forged_packed(count: u64, group: &[u8], packed: &[u8]) -> Vec<u8> {
+fn forged_packed(layout: Layout, count: u64, packed: &[u8]) -> Vec<u8> {
     let header: [u8; HEADER] = SAVED[..HEADER].try_into().unwrap();
-    let end = end_bytes(&header, count);
-    [&SAVED[..HEADER + 4], group, packed, &end].concat()
+    let group = GroupHeader::bytes(layout, 0, count as usize, packed);
+    [&SAVED[..START], &group, packed, &end_bytes(&header, count)].concat()
+}
+
+/// The groups of a map as versions 1 to 3 have them: compressed blocks, and how many.
+fn groups_of_blocks(map: &VoxelMap, indices: &[BlockIndex]) -> Vec<(Vec<u8>, usize)> {
+    let group = |indices: &[BlockIndex]| {
+        let mut plain = Vec::new();
+        let blocks = indices.iter().map(|&i| (i, map.block(i).unwrap()));
+        blocks.for_each(|(index, block)| push_block(index, block, &mut plain));
+        (lz4_flex::block::compress(&plain), indices.len())
+    };
+    indices.chunks(GROUP).map(group).collect()
+}
+
+/// A map as version 2 has it, or version 3 with poses.
+fn saved_before_planes(map: &VoxelMap, poses: &[FusedPose]) -> Vec<u8> {
+    let version = if poses.is_empty() { WITHOUT_POSES } else { 3 };
+    let header = Header::bytes(version, map.config(), map.integrations());
+    let mut bytes = [&header[..], &checksum(&[&header]).to_le_bytes()].concat();
+    if !poses.is_empty() {
+        bytes.extend(pack_poses(poses).unwrap());
+    }
+    let mut indices: Vec<BlockIndex> = map.block_indices();
+    indices.sort_by_key(|&index| (tsdfuse::index::RegionIndex::of(index), index));
+    for (number, (packed, count)) in (0..).zip(groups_of_blocks(map, &indices)) {
+        bytes.extend(GroupHeader::bytes(Layout::Blocks, number, count, &packed));
+        bytes.extend(packed);
+    }
+    bytes.extend(end_bytes(&header, indices.len() as u64));
+    bytes
 }
 
 /// A map as version 1 has it.
@@ -81,12 +112,7 @@ fn saved_1(map: &VoxelMap) -> Vec<u8> {
     bytes.extend((indices.len() as u64).to_le_bytes());
     assert_eq!(bytes.len(), HEADER_1);
     bytes.extend(checksum(&[&bytes]).to_le_bytes());
-    for group in indices.chunks(GROUP) {
-        let mut plain = Vec::new();
-        group
-            .iter()
-            .for_each(|&i| push_block(i, map.block(i).unwrap(), &mut plain));
-        let packed = lz4_flex::block::compress(&plain);
+    for (packed, _) in groups_of_blocks(map, &indices) {
         let length = (packed.len() as u32).to_le_bytes();
         bytes.extend(length);
         bytes.extend(checksum(&[&length, &packed]).to_le_bytes());
@@ -95,7 +121,7 @@ fn saved_1(map: &VoxelMap) -> Vec<u8> {
     bytes
 }
 
-/// The bytes of an empty block.
+/// The bytes of an empty block, as versions 1 to 3 have it.
 fn empty_block(x: i32) -> Vec<u8> {
     let mut block = vec![0; BLOCK];
     block[..4].copy_from_slice(&x.to_le_bytes());
@@ -115,7 +141,7 @@ fn what_is_written_is_read() {
     assert_eq!(group_offsets(&std::fs::read(&path).unwrap()).len(), 4);
     let empty = VoxelMap::new(MapConfig::default()).unwrap();
     assert!(parsed(&saved(&empty)).unwrap() == empty);
-    assert_eq!(saved(&empty).len(), HEADER + 4 + END + 4);
+    assert_eq!(saved(&empty).len(), START + END + 4);
 }
 
 #[test]
@@ -141,6 +167,25 @@ fn maps_of_version_1_are_read() {
 }
 
 #[test]
+fn maps_of_versions_2_and_3_are_read() {
+    let map = &*MAP;
+    for poses in [Vec::new(), poses()] {
+        let bytes = saved_before_planes(map, &poses);
+        let (read, with) = parse(Path::new("a.tsdf"), bytes.as_slice()).unwrap();
+        assert!(read == *map && read.integrations() == 77 && with == poses);
+        let repaired = repair_bytes(Path::new("a.tsdf"), &bytes).unwrap();
+        assert!(repaired.map == *map && repaired.poses == poses && repaired.damage.places.is_empty());
+        let mut flipped = bytes.clone();
+        flipped[bytes.len() - 100] ^= 1;
+        assert_eq!(refused(&flipped), format!("a.tsdf: group 3: {CHANGED}"));
+        let left = repair_bytes(Path::new("a.tsdf"), &flipped).unwrap();
+        assert_eq!((left.map.block_count(), left.damage.lost_blocks), (512, Some(88)));
+        // What is written now is smaller.
+        assert!(saved(map).len() < bytes.len());
+    }
+}
+
+#[test]
 fn blocks_out_of_order_are_not_written() {
     let mut writer = Writer::new(Vec::new(), &MapConfig::default(), 0).unwrap();
     let mut write = |x, y| writer.block(BlockIndex(IVec3::new(x, y, 0)), &Block::EMPTY);
@@ -163,8 +208,14 @@ fn the_bytes_are_as_documented() {
         distance_sum: -2,
     };
     map.insert_block(BlockIndex(IVec3::new(-1, 2, 3)), block).unwrap();
+    let mut block = Block::EMPTY;
+    block.voxels[9] = Voxel {
+        weight_sum: 0x101,
+        distance_sum: 3,
+    };
+    map.insert_block(BlockIndex(IVec3::new(0, 2, 3)), block).unwrap();
     let bytes = saved(&map);
-    let mut header = b"TSDFMAP\n\x02\0\0\0\0\x80\0\0".to_vec();
+    let mut header = b"TSDFMAP\n\x04\0\0\0\0\x80\0\0".to_vec();
     header.extend(0.05f64.to_le_bytes());
     header.extend(0.20f64.to_le_bytes());
     header.extend(32768f32.to_le_bytes());
@@ -172,25 +223,27 @@ fn the_bytes_are_as_documented() {
     assert_eq!(bytes[..40], header);
     let crc = |bytes: &[u8]| crc32fast::hash(bytes).to_le_bytes();
     assert_eq!(bytes[40..44], crc(&header));
+    assert_eq!(bytes[44..60], *b"TSDFPOS\n\0\0\0\0\0\0\0\0");
+    assert_eq!(bytes[60..64], crc(&bytes[44..60]));
     let end = bytes.len() - 60;
-    let mut group = b"TSDFGRP\n\0\0\0\0\x01\0\0\0".to_vec();
-    group.extend((end as u32 - 72).to_le_bytes());
-    group.extend(crc(&bytes[72..end]));
-    assert_eq!(bytes[44..68], group);
-    assert_eq!(bytes[68..72], crc(&group));
+    let mut group = b"TSDFPLN\n\0\0\0\0\x02\0\0\0".to_vec();
+    group.extend((end as u32 - 92).to_le_bytes());
+    group.extend(crc(&bytes[92..end]));
+    assert_eq!(bytes[64..88], group);
+    assert_eq!(bytes[88..92], crc(&group));
     let mut last = [&b"TSDFEND\n"[..], &header].concat();
-    last.extend(1u64.to_le_bytes());
+    last.extend(2u64.to_le_bytes());
     assert_eq!(bytes[end..end + 56], last);
     assert_eq!(bytes[end + 56..], crc(&last));
-    let plain = lz4_flex::block::decompress(&bytes[72..end], BLOCK).unwrap();
-    assert_eq!(plain.len(), 4108);
-    assert_eq!(
-        plain[..20],
-        [
-            255, 255, 255, 255, 2, 0, 0, 0, 3, 0, 0, 0, 4, 3, 2, 1, 254, 255, 255, 255
-        ]
-    );
-    assert!(plain[20..].iter().all(|&b| b == 0));
+    let plain = lz4_flex::block::decompress(&bytes[92..end], 2 * 4172).unwrap();
+    let places = [
+        255, 255, 255, 255, 2, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3, 0, 0, 0,
+    ];
+    let mut masks = [0; 128];
+    (masks[0], masks[64 + 1]) = (1, 2);
+    // Distances of -2 and 3 are 3 and 6.
+    let planes = [[4, 1], [3, 1], [2, 0], [1, 0], [3, 6], [0, 0], [0, 0], [0, 0]];
+    assert_eq!(plain, [&places[..], &masks, planes.as_flattened()].concat());
 }
 
 #[test]
@@ -206,7 +259,7 @@ fn damage_is_named_by_its_group() {
     assert_eq!(flipped(offsets[2] + 17), format!("a.tsdf: group 3: {CHANGED}"));
     assert_eq!(flipped(offsets[0] + 3), format!("a.tsdf: group 1: {CHANGED}"));
     assert!(flipped(3).ends_with("its header: this is no map saved by tsdfuse"));
-    assert!(flipped(8).ends_with("its header: it has version 18, read are versions up to 3"));
+    assert!(flipped(8).ends_with("its header: it has version 20, read are versions up to 4"));
     assert!(flipped(20).ends_with(&format!("its header: {CHANGED}")));
     assert_eq!(flipped(bytes.len() - 10), format!("a.tsdf: group 4: {CHANGED}"));
     let told = refused(&bytes[..offsets[2] - 1]);
@@ -249,7 +302,7 @@ fn packed_blocks_are_unpacked_and_damage_is_told() {
 
 #[test]
 fn impossible_content_is_refused_although_its_checksum_is_right() {
-    let of = |blocks: &[Vec<u8>]| parsed(&forged(blocks.len() as u64, &blocks.concat()));
+    let of = |blocks: &[Vec<u8>]| parsed(&forged(Layout::Blocks, blocks.len() as u64, &blocks.concat()));
     assert_eq!(of(&[empty_block(1), empty_block(2)]).unwrap().block_count(), 2);
     let told = |blocks: &[Vec<u8>]| of(blocks).unwrap_err();
     assert!(told(&[empty_block(1), empty_block(1)]).ends_with("block [1, 0, 0] is not in order"));
@@ -258,10 +311,26 @@ fn impossible_content_is_refused_although_its_checksum_is_right() {
     voxel[12..20].copy_from_slice(&[1, 0, 0, 0, 2, 0, 0, 0]);
     assert!(told(&[voxel]).ends_with("block [1, 0, 0]: voxel 0 cannot hold a weight of 1 and a distance of 2"));
     // A group promises other than there is.
-    assert!(refused(&forged(257, &empty_block(1).repeat(257))).contains("it has 257 blocks; 1 to 256 are possible"));
-    assert!(refused(&forged(0, &[])).contains("it has 0 blocks"));
-    assert!(refused(&forged(2, &empty_block(1))).contains("4108 bytes instead of 8216"));
-    assert!(refused(&forged(1, &[empty_block(1), empty_block(2)].concat())).contains("group 1: "));
+    let blocks = |count, plain: &[u8]| refused(&forged(Layout::Blocks, count, plain));
+    assert!(blocks(257, &empty_block(1).repeat(257)).contains("it has 257 blocks; 1 to 256 are possible"));
+    assert!(blocks(0, &[]).contains("it has 0 blocks"));
+    assert!(blocks(2, &empty_block(1)).contains("4108 bytes instead of 8216"));
+    assert!(blocks(1, &[empty_block(1), empty_block(2)].concat()).contains("group 1: "));
+    // One block by planes, with one voxel of weight 1 and distance 2.
+    let one = |bytes: [u8; 8]| [&[0; 12][..], &[1], &[0; 63], &bytes].concat();
+    let planes = |count, plain: &[u8]| refused(&forged(Layout::Planes, count, plain));
+    assert!(
+        planes(1, &one([1, 0, 0, 0, 4, 0, 0, 0])).ends_with("voxel 0 cannot hold a weight of 1 and a distance of 2")
+    );
+    assert!(parsed(&forged(Layout::Planes, 1, &one([1, 0, 0, 0, 1, 0, 0, 0]))).is_ok());
+    for (count, length) in [(1, 0), (1, 11), (1, 75), (1, 76), (1, 83), (2, 84)] {
+        let told = planes(count, &one([0; 8])[..length]);
+        assert!(
+            told.ends_with(&format!("group 1: {length} bytes do not fit its blocks")),
+            "{told}"
+        );
+    }
+    assert!(planes(1, &[&one([0; 8])[..], &[0]].concat()).ends_with("85 bytes do not fit its blocks"));
 }
 
 /// What is left of [`SAVED`] after a change of its bytes, and what is said of it.
@@ -356,9 +425,11 @@ proptest! {
     #[test]
     fn any_bytes_give_an_error_or_a_map(bytes in prop::collection::vec(any::<u8>(), 0..2000), count in 0..600u64) {
         crate::fuzzing::map(&bytes);
-        let _ = parsed(&forged(count, &bytes));
-        // As compressed bytes, with a right checksum.
-        let _ = parsed(&forged_packed(count, &GroupHeader::bytes(0, count as usize, &bytes), &bytes));
+        for layout in [Layout::Blocks, Layout::Planes] {
+            let _ = parsed(&forged(layout, count, &bytes));
+            // As compressed bytes, with a right checksum.
+            let _ = parsed(&forged_packed(layout, count, &bytes));
+        }
     }
 }
 
@@ -410,10 +481,7 @@ const POSES: usize = 20 + 64 * 300;
 fn poses_are_kept_and_change_nothing_else() {
     let (map, plain, bytes) = (map(), saved(&map()), with_poses(&map()));
     assert_eq!(parse(Path::new("a.tsdf"), bytes.as_slice()).unwrap(), (map, poses()));
-    // A program that reads version 2 only says which version it is.
-    assert_eq!((plain[8], bytes[8]), (2, 3));
-    assert_eq!(bytes.len(), plain.len() + POSES);
-    assert_eq!(bytes[44 + POSES..bytes.len() - 60], plain[44..plain.len() - 60]);
+    assert_eq!(bytes[44 + POSES..], plain[START..]);
     assert_eq!(parse(Path::new("a.tsdf"), plain.as_slice()).unwrap().1, []);
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.tsdf");

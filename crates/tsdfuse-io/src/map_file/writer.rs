@@ -2,22 +2,21 @@
 
 use std::io::{self, Error, ErrorKind, Write};
 
-use lz4_flex::block::{compress_into, get_maximum_output_size};
 use tsdfuse::MapConfig;
 use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::map::Block;
 
-use super::format::{
-    BLOCK, GROUP, GroupHeader, HEADER, Header, VERSION, WITHOUT_POSES, checksum, end_bytes, push_block,
-};
+use super::format::{GROUP, HEADER, Header, VERSION, checksum, end_bytes};
 use super::fused::{FusedPose, pack_poses};
+use super::group;
+use super::layout::Planes;
 
 /// Writes blocks as they come, which must be region by region and sorted within each. Holds one group at a time.
 #[derive(Debug)]
 pub struct Writer<W> {
     out: W,
     header: [u8; HEADER],
-    plain: Vec<u8>,
+    group: Planes,
     packed: Vec<u8>,
     last: Option<(RegionIndex, BlockIndex)>,
     blocks: u64,
@@ -38,18 +37,15 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// What the system says; `InvalidInput` for 2³² poses or more.
     pub fn with_poses(mut out: W, config: &MapConfig, integrations: u32, poses: &[FusedPose]) -> io::Result<Self> {
-        let version = if poses.is_empty() { WITHOUT_POSES } else { VERSION };
-        let header = Header::bytes(version, config, integrations);
+        let header = Header::bytes(VERSION, config, integrations);
         out.write_all(&header)?;
         out.write_all(&checksum(&[&header]).to_le_bytes())?;
-        if !poses.is_empty() {
-            out.write_all(&pack_poses(poses)?)?;
-        }
+        out.write_all(&pack_poses(poses)?)?;
         Ok(Self {
             out,
             header,
-            plain: Vec::with_capacity(GROUP * BLOCK),
-            packed: vec![0; get_maximum_output_size(GROUP * BLOCK)],
+            group: Planes::default(),
+            packed: Vec::new(),
             last: None,
             blocks: 0,
             groups: 0,
@@ -67,23 +63,20 @@ impl<W: Write> Writer<W> {
             return Err(Error::new(ErrorKind::InvalidInput, reason));
         }
         self.last = place;
-        push_block(index, block, &mut self.plain);
+        self.group.push(index, block);
         self.blocks += 1;
-        if self.plain.len() == GROUP * BLOCK {
-            self.group()?;
+        if self.group.count() == GROUP {
+            self.write_group()?;
         }
         Ok(())
     }
 
     /// Writes the blocks that wait.
-    fn group(&mut self) -> io::Result<()> {
-        let length = compress_into(&self.plain, &mut self.packed).map_err(Error::other)?;
-        let packed = self.packed.get(..length).unwrap_or_default();
-        let header = GroupHeader::bytes(self.groups, self.plain.len() / BLOCK, packed);
-        self.out.write_all(&header)?;
-        self.out.write_all(packed)?;
+    fn write_group(&mut self) -> io::Result<()> {
+        self.packed.clear();
+        group::push(self.groups, &mut self.group, &mut self.packed);
+        self.out.write_all(&self.packed)?;
         self.groups += 1;
-        self.plain.clear();
         Ok(())
     }
 
@@ -92,8 +85,8 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// What the system says.
     pub fn finish(mut self) -> io::Result<W> {
-        if !self.plain.is_empty() {
-            self.group()?;
+        if self.group.count() > 0 {
+            self.write_group()?;
         }
         self.out.write_all(&end_bytes(&self.header, self.blocks))?;
         Ok(self.out)
