@@ -4,17 +4,19 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Context, Result};
-use clap::builder::RangedI64ValueParser;
+use clap::builder::{PossibleValuesParser, RangedI64ValueParser};
 use glam::{DQuat, DVec2, DVec3};
+use tsdfuse::fuse::Method;
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::{MapConfig, Pose};
 use tsdfuse_io::{
     DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M, OpenOptions, Selection,
 };
-use tsdfuse_run::{Input, PosesFrom, Settings};
+use tsdfuse_run::{Device, Input, Job, PosesFrom, Settings};
 
 use crate::exit::Usage;
+use crate::program::command_line;
 
 /// The log and the settings.
 #[derive(Clone, Debug, clap::Args)]
@@ -69,6 +71,45 @@ pub(crate) struct LogArgs {
     /// Skip scans that cannot be used; they are listed, and the exit code is 3.
     #[arg(long)]
     pub(crate) skip_bad: bool,
+}
+
+/// A run: what is fused, how, and where.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct RunArgs {
+    #[arg(long, value_parser = PossibleValuesParser::new(Method::ALL.iter().map(|m| m.name())),
+        help = format!("The fusion method [default: {}, or depth for depth cameras]", Method::default().name()))]
+    method: Option<String>,
+    /// Fuse on the CPU or a GPU (gpu:NAME: the one whose name contains NAME).
+    #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
+    pub(crate) device: Device,
+    /// Correct the poses that odometry finds, or that are refined, where the sensor comes back, before anything is fused.
+    #[arg(long, value_name = "on|off", default_value = "on")]
+    loops: Loops,
+    /// Leave out returns of things that move: those in space that was known to be free.
+    #[arg(long)]
+    leave_out_moving: bool,
+    #[command(flatten)]
+    pub(crate) log: LogArgs,
+}
+
+impl RunArgs {
+    /// The run, without outputs.
+    pub(crate) fn job(&self) -> Result<Job> {
+        let mut settings = self.log.settings(self.method.as_deref())?;
+        if self.leave_out_moving {
+            settings.set("--leave-out-moving", "moving.leave_out", true)?;
+        }
+        Ok(Job {
+            input: self.log.input(),
+            poses: self.log.poses_from(),
+            open_loops: !self.loops.is_on(),
+            settings,
+            device: self.device.clone(),
+            command_line: command_line(),
+            config_file: self.log.config.clone(),
+            ..Job::default()
+        })
+    }
 }
 
 /// Which sensors of a log are read, and what is known of them.

@@ -4,13 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::ArgGroup;
-use clap::builder::PossibleValuesParser;
 use tsdfuse::Pose;
-use tsdfuse::fuse::Method;
 use tsdfuse_run::report::Report;
-use tsdfuse_run::{Device, Job, Outputs};
+use tsdfuse_run::{Job, Outputs};
 
-use crate::args::{LogArgs, Loops, Memory, hold_out_range, parse_rough_pose};
+use crate::args::{Memory, RunArgs, hold_out_range, parse_rough_pose};
 use crate::exit::{self, Outcome};
 use crate::output;
 use crate::terminal::{self, Terminal};
@@ -54,9 +52,6 @@ pub(crate) struct Args {
     /// --save-map or --store as NAME.intensity.tsdf.
     #[arg(long)]
     intensity: bool,
-    /// Leave out returns of things that move: those in space that was known to be free.
-    #[arg(long)]
-    leave_out_moving: bool,
     /// Write into this folder for each scan which of its returns move: NUMBER.label as SemanticKITTI has them (9 stays, 251 moves,
     /// 0 was not looked at).
     #[arg(long, value_name = "DIR")]
@@ -100,17 +95,8 @@ pub(crate) struct Args {
     #[cfg(feature = "view")]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, require_equals = true, default_missing_value = crate::view::DEFAULT)]
     view: Option<std::net::SocketAddr>,
-    #[arg(long, value_parser = PossibleValuesParser::new(Method::ALL.iter().map(|m| m.name())),
-        help = format!("The fusion method [default: {}, or depth for depth cameras]", Method::default().name()))]
-    method: Option<String>,
-    /// Fuse on the CPU or a GPU (gpu:NAME: the one whose name contains NAME).
-    #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
-    device: Device,
-    /// Correct the poses that odometry finds, or that are refined, where the sensor comes back, before anything is fused.
-    #[arg(long, value_name = "on|off", default_value = "on")]
-    loops: Loops,
     #[command(flatten)]
-    log: LogArgs,
+    run: RunArgs,
     /// Leave out the middle one of every K scans, to test how well the map predicts it (see `tsdfuse evaluate`).
     #[arg(long, value_name = "K", value_parser = hold_out_range())]
     hold_out: Option<u32>,
@@ -123,13 +109,13 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
-    exit::quiet_gpu(&args.device);
+    exit::quiet_gpu(&args.run.device);
     let job = args.job()?;
-    args.log.set_threads()?;
+    args.run.log.set_threads()?;
     let stop = exit::stop_on_interrupt()?;
     #[cfg(feature = "view")]
     if let Some(address) = args.view {
-        let live = crate::view::open(address, &args.log.log)?;
+        let live = crate::view::open(address, &args.run.log.log)?;
         let watched = tsdfuse_run::LiveRun::new(live.clone());
         let report = job.run(&stop, &mut tsdfuse_run::Both(Terminal::default(), watched))?;
         let outcome = done(&report, args.json)?;
@@ -175,18 +161,9 @@ impl Args {
         if let Some(mesh) = &self.output {
             output::check_terminal(mesh, self.json)?;
         }
-        let mut input = self.log.input();
-        input.selection.hold_out = self.hold_out.map(|every| every as usize);
-        let mut settings = self.log.settings(self.method.as_deref())?;
-        if self.leave_out_moving {
-            settings.set("--leave-out-moving", "moving.leave_out", true)?;
-        }
-        let mut job = Job {
-            input,
-            poses: self.log.poses_from(),
-            open_loops: !self.loops.is_on(),
-            settings,
-            device: self.device.clone(),
+        let mut job = self.run.job()?;
+        job.input.selection.hold_out = self.hold_out.map(|every| every as usize);
+        Ok(Job {
             memory_bytes: self.memory.map(|memory| memory.0),
             store: self.store.clone(),
             commit_every: self.commit_every as usize,
@@ -205,10 +182,7 @@ impl Args {
                 preview: self.preview()?,
                 report: self.report.clone(),
             },
-            ..Job::default()
-        };
-        job.command_line = output::command_line();
-        job.config_file.clone_from(&self.log.config);
-        Ok(job)
+            ..job
+        })
     }
 }

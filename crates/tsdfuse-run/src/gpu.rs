@@ -33,7 +33,11 @@ pub(crate) fn open(
     };
     let gpu = Gpu::open(name)?;
     let device_map = DeviceMap::upload(&gpu, map, pool(&gpu))?;
-    let fuser = Fuser::new(device_map, config.method, &config.methods(), sensor.as_ref())?;
+    let fuser = Fuser::new(device_map, config.method, &config.methods(), sensor.as_ref());
+    let fuser = fuser.map_err(|error| match error {
+        GpuError::Unsupported(reason) => RunError::Config(reason),
+        error => error.into(),
+    })?;
     Ok(Box::new(OnGpu {
         gpu,
         fuser,

@@ -121,7 +121,7 @@ fn what_a_gpu_cannot_do_is_told_in_one_sentence() {
     let told = fuse(&["--device", "gpu:no such adapter"]).failed(1);
     assert!(told.contains("no GPU can be used"), "{told}");
     if has_gpu() {
-        let told = fuse(&["--device", "gpu", "--method", "surfel"]).failed(1);
+        let told = fuse(&["--device", "gpu", "--method", "surfel"]).failed(2);
         assert!(
             told.contains("surfel does not run on the GPU; there are raycast"),
             "{told}"
