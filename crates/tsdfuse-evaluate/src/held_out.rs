@@ -1,4 +1,4 @@
-//! How well a map foretells scans that it does not hold.
+//! How well a map predicts scans that it does not hold.
 
 use tsdfuse::VoxelMap;
 use tsdfuse::render::{RenderConfig, Renderer};

@@ -2,9 +2,9 @@
 //!
 //! - [`Contest`] names methods and a log.
 //! - [`Evaluation`] fuses the log with each of the methods, and measures each: the distance of its mesh to a reference, how well its
-//!   map foretells held-out scans, its speed and memory. The [`Results`] become [`tables`], [`plots`] and a [`page`] with
+//!   map predicts held-out scans, its speed and memory. The [`Results`] become [`tables`], [`plots`] and a [`page`] with
 //!   pictures.
-//! - [`Tuning`] searches the method, voxel size and truncation that foretell held-out scans best.
+//! - [`Tuning`] searches the method, voxel size and truncation that predict held-out scans best.
 //! - [`bench::Bench`] tells what each stage takes on this machine, and how far that is from what its memory allows.
 //! - [`trajectories`] shows how two trajectories compare.
 //! - [`mod@reference`], [`colored`] and [`figures`] read what one mesh is compared with, and show how it compares.

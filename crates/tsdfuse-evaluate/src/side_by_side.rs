@@ -246,7 +246,7 @@ impl<'a> Workplace<'a> {
         Ok((row, report, mesh))
     }
 
-    /// Fuses without the held-out scans, and looks how well the map foretells these.
+    /// Fuses without the held-out scans, and looks how well the map predicts these.
     fn held_out(
         &self,
         form: &Form,

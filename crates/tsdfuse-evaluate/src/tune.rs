@@ -1,4 +1,4 @@
-//! Which method, voxel size and truncation foretell held-out scans best.
+//! Which method, voxel size and truncation predict held-out scans best.
 //!
 //! A coarse grid on few scans, then successive halving (Jamieson and Talwalkar, AISTATS 2016): the best quarter on twice as
 //! many scans, until one candidate is left, all scans are used, or time is up. The objective counts missing and false surface

@@ -41,7 +41,7 @@ pub struct Score {
     pub truncation_m: f64,
     /// Fusing, wall time on all cores.
     pub secs_per_scan: f64,
-    /// How well it foretold the held-out scans.
+    /// How well it predicted the held-out scans.
     pub held_out: HeldOut,
     /// The command that makes a mesh with it.
     pub command: String,

@@ -1,7 +1,7 @@
 //! Captures of a LiDAR's packets from the network: PCAP and pcapng.
 //!
 //! A capture is gone through once when it is opened: which sensors send packets, and where their sweeps begin and end. Sweeps are
-//! decoded when they are read, in any order; no more than one is in memory then. Sensors are told by their packets
+//! decoded when they are read, in any order; no more than one is in memory then. Sensors are identified by their packets
 //! (`tsdfuse_packets`) and kept apart by address and port. Calibrations are looked for beside the capture.
 //!
 //! A sweep that covers less than half of what sweeps of its sensor do is left out if it is the first or the last one: the

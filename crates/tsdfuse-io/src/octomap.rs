@@ -16,7 +16,7 @@ const LEVELS: u32 = 16;
 const HALF: i32 = 1 << (LEVELS - 1);
 
 /// Writes a tree of voxels with this edge, metres: each with whether it is occupied. The file appears when it is complete. If a
-/// voxel is told twice, the last one counts.
+/// voxel is given twice, the last one counts.
 ///
 /// # Errors
 /// Names the file and what the system says; also if a voxel lies outside of the tree.

@@ -2,7 +2,7 @@
 //!
 //! - the model ([`SensorModel`]): `name`, `elevations_deg`, `columns`, `min_range_m` and `max_range_m`,
 //! - `body_from_sensor`: the 12 numbers of where the sensor sits on the body whose poses are used,
-//! - the errors, taken back ([`SensorCorrection`]): `elevation_correction_deg`, `range_correction_m`, and for each ring
+//! - the errors to correct ([`SensorCorrection`]): `elevation_correction_deg`, `range_correction_m`, and for each ring
 //!   `[[beam_corrections]]` with `elevation_deg`, `azimuth_deg` and `range_m`,
 //! - `time_offset_s`: a scan at time t has the pose of t + `time_offset_s`, where the clock of the poses differs from the sensor's.
 

@@ -53,7 +53,7 @@ pub struct Sensor {
     pub min_range_m: Option<f32>,
     /// Where the sensor sits on the body whose poses the log's trajectory has; the identity if those are the sensor's own.
     pub body_from_sensor: Pose,
-    /// The sensor's known errors, which are taken back from what [`Source::read`] and [`Stream::next`] hand out.
+    /// The sensor's known errors, which are corrected in what [`Source::read`] and [`Stream::next`] return.
     pub correction: SensorCorrection,
     /// Its scans have the poses of this many seconds later than their own times, where it was told that the clock of the poses differs.
     pub time_offset_s: Option<f64>,
@@ -272,7 +272,7 @@ pub(crate) fn read_checked(source: &dyn Source, index: usize) -> Result<Scan> {
     )
 }
 
-/// The scan, if its columns fit together, with its sensor's known error taken back.
+/// The scan, if its columns fit together, with its sensor's known errors corrected.
 pub(crate) fn checked(mut scan: Scan, name: &str, sensor: Option<&Sensor>) -> Result<Scan> {
     scan.check().map_err(|e| Error::dataset(name, e.to_string()))?;
     if let Some(sensor) = sensor {

@@ -209,7 +209,7 @@ impl Edge {
     }
 }
 
-/// The error of a vector that a node's pose foretells, in standard deviations, with its derivative by a small motion of the node.
+/// The error of a vector that a node's pose predicts, in standard deviations, with its derivative by a small motion of the node.
 type Three = (Vector3<f64>, Matrix3x6<f64>);
 
 fn three(e: DVec3, by_shift: DMat3, by_turn: DMat3, sigma: DVec3) -> Three {

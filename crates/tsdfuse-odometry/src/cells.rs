@@ -2,7 +2,7 @@
 //!
 //! Space is divided into cubes at [`LEVELS`] sizes, each twice the one before. Every cube keeps the number, the sum and the
 //! products of its points, and from these the plane with its uncertainty. A point asks the cubes that it lies in, one of each
-//! size, and takes the plane that foretells it best: a large one where the surface is flat, so that hundreds of points say
+//! size, and takes the plane that predicts it best: a large one where the surface is flat, so that hundreds of points say
 //! where it is, a small one where it is not. Nothing is searched for, and nothing depends on whether the sensor is indoors.
 //!
 //! (Adaptive voxels with the planes' uncertainty: Yuan et al., "Efficient and Probabilistic Adaptive Voxel Mapping for
@@ -369,7 +369,7 @@ impl Cells {
         });
     }
 
-    /// The plane that foretells a point best, among those of the cells that it lies in, with the point's distance from it,
+    /// The plane that predicts a point best, among those of the cells that it lies in, with the point's distance from it,
     /// metres, and the variance of that.
     pub(crate) fn plane_at(&self, p: DVec3) -> Option<(&Plane, f64, f64)> {
         self.plane_near(p, &mut Found::default())
@@ -485,7 +485,7 @@ mod tests {
         points.iter().map(|&at| Seen { at, elevation: 3 }).collect()
     }
 
-    /// The plane that foretells `p` best, of the cells around it, from all points.
+    /// The plane that predicts `p` best, of the cells around it, from all points.
     fn slowly(points: &[DVec3], grid: &Grid, p: DVec3) -> Option<(f64, f64)> {
         let planes = (0..LEVELS as u8).filter_map(|level| {
             let key = grid.key(p) >> i32::from(level);

@@ -1,7 +1,7 @@
-//! What an inertial measurement unit foretells of the sensor's motion, and what registration tells about the unit: its biases, gravity, and
+//! What an inertial measurement unit predicts of the sensor's motion, and what registration tells about the unit: its biases, gravity, and
 //! whether its samples can be believed at all.
 //!
-//! Nothing is believed without proof. Each sweep is foretold in three ways: by the motion before, with turns from the gyroscope, and with
+//! Nothing is believed without proof. Each sweep is predicted in three ways: by the motion before, with turns from the gyroscope, and with
 //! velocities from the accelerometer, too. The one that was nearest to the registered motion lately is used. So a unit with wrong units, a wrong
 //! mounting or a wrong clock does no harm; the first two are found out and corrected.
 
@@ -48,7 +48,7 @@ const LEFT: f64 = 0.1;
 /// A unit that is turned by less than this against the LiDAR, radians, is where the log says it is.
 const TURNED: f64 = 0.15;
 
-/// How a sweep is foretold.
+/// How a sweep is predicted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ForetoldBy {
@@ -66,8 +66,8 @@ pub enum ForetoldBy {
 pub struct ImuReport {
     /// Samples that came.
     pub samples: usize,
-    /// Sweeps that were foretold by turns alone, and by all of it.
-    pub foretold: [usize; 2],
+    /// Sweeps that were predicted by turns alone, and by all of it.
+    pub predicted: [usize; 2],
     /// Bias of the rates of turn, rad/s, in the sensor frame.
     pub gyroscope_bias: [f64; 3],
     /// Bias of the specific force, m/s², in the sensor frame.
@@ -84,7 +84,7 @@ struct Sample {
     force: DVec3,
 }
 
-/// A sweep as it is foretold, with the velocity at its end, m/s in the world.
+/// A sweep as it is predicted, with the velocity at its end, m/s in the world.
 #[derive(Clone, Debug)]
 pub(crate) struct Foretold {
     pub(crate) motion: Motion,
@@ -320,7 +320,7 @@ impl Inertial {
         best.map_or(ForetoldBy::Motion, |way| ways[way])
     }
 
-    /// Learns from a sweep that was registered: `last` is the end of the one before, `used` how it was foretold.
+    /// Learns from a sweep that was registered: `last` is the end of the one before, `used` how it was predicted.
     pub(crate) fn learn(
         &mut self,
         last: &End,
@@ -331,15 +331,15 @@ impl Inertial {
         is_position_known: bool,
     ) {
         for (error, foretold) in self.errors.iter_mut().zip(foretold) {
-            // What cannot be foretold is no better than the worst.
+            // What cannot be predicted is no better than the worst.
             let new = foretold.map_or(*error, |foretold| foretold.error(&end.pose));
             let share = if new > *error { 0.5 } else { 0.2 };
             *error += share * (new - *error);
         }
         match used {
             ForetoldBy::Motion => {}
-            ForetoldBy::Gyroscope => self.report.foretold[0] += 1,
-            ForetoldBy::Imu => self.report.foretold[1] += 1,
+            ForetoldBy::Gyroscope => self.report.predicted[0] += 1,
+            ForetoldBy::Imu => self.report.predicted[1] += 1,
         }
         self.check_turns(last, end);
         if let Some(foretold) = foretold[1] {
@@ -583,7 +583,7 @@ mod tests {
         (0..(secs / 0.005) as usize).map(sample).collect()
     }
 
-    /// The motion that would be foretold without a unit.
+    /// The motion that would be predicted without a unit.
     fn steady(last: &End, secs: f64) -> Foretold {
         let turned = pose(last.secs - secs).inverse() * last.pose;
         Foretold {
@@ -592,7 +592,7 @@ mod tests {
         }
     }
 
-    /// Learns from ten sweeps a second, placed exactly; says how far the ways foretold the last ones, and which one is chosen.
+    /// Learns from ten sweeps a second, placed exactly; says how far the ways predicted the last ones, and which one is chosen.
     fn learnt(samples: Vec<ImuSample>, secs: f64) -> (Inertial, [f64; 3], ForetoldBy) {
         let mut imu = Inertial::new();
         imu.push(samples);
@@ -625,7 +625,7 @@ mod tests {
         assert!(BIASES.0.distance(gyro) < 5e-4, "{gyro}");
         assert!(BIASES.1.distance(force) < 0.03, "{force}");
         assert!(imu.up().unwrap().distance(DVec3::Z) < 0.003, "{:?}", imu.up());
-        assert!(report.notes.is_empty() && report.foretold[1] > 250, "{report:?}");
+        assert!(report.notes.is_empty() && report.predicted[1] > 250, "{report:?}");
     }
 
     #[test]

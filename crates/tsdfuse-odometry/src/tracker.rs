@@ -26,7 +26,7 @@ const MOST_POINTS: f64 = 4000.0;
 /// How far a sensor may move in its first sweep along a direction that its returns do not tell, metres.
 const FIRST_VELOCITY: f64 = 1.0;
 
-/// Errors of accelerations and of changes of the rate of turn that are foretold from an inertial measurement unit, m/s² and rad/s².
+/// Errors of accelerations and of changes of the rate of turn that are predicted from an inertial measurement unit, m/s² and rad/s².
 const FORETOLD: (f64, f64) = (1.0, 0.3);
 
 /// With an inertial measurement unit the first scans wait so long, seconds: meanwhile gravity becomes known.
@@ -351,7 +351,7 @@ impl Tracker {
         begin.map_or(usual, |begin| begin - last.end).clamp(0.0, 10.0)
     }
 
-    /// How the next sweep is foretold: by the motion before, by turns of the gyroscope, by all that the unit measures.
+    /// How the next sweep is predicted: by the motion before, by turns of the gyroscope, by all that the unit measures.
     fn foretold(&self, last: &Last, gap: f64, secs: f64, is_timed: bool) -> [Option<Foretold>; 3] {
         let begin = last.motion.last() * repeated(&last.velocity, gap);
         let motion = moving(begin, &last.velocity, secs);
@@ -611,7 +611,7 @@ impl Tracker {
         } else {
             repeated(&moved, 1.0 / gap.max(1e-3))
         };
-        // What registration moved, it moved faster than was foretold.
+        // What registration moved, it moved faster than was predicted.
         let half = if secs > 0.0 { 0.5 * secs } else { gap.max(1e-3) };
         let moved_by = |motion: &Motion| match secs > 0.0 {
             true => motion.last().translation - motion.knot(1, 3).translation,

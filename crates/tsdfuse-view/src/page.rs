@@ -42,7 +42,7 @@ pub fn is_page(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("html"))
 }
 
-/// What the viewer is told beside the pieces; places are relative to `origin`, metres.
+/// What the viewer receives beside the pieces; places are relative to `origin`, metres.
 #[derive(Debug, Serialize)]
 struct Told<'a> {
     title: &'a str,
@@ -119,7 +119,7 @@ fn write_all(path: &Path, scene: &Scene, surface: &Surface<'_>, original: Option
     Ok(triangles)
 }
 
-/// The page of a live view, which is told all but its title later; or of tiles.
+/// The page of a live view, which receives all but its title later; or of tiles.
 #[cfg(feature = "live")]
 pub(crate) fn live(title: &str, tiles: Option<&str>) -> io::Result<Vec<u8>> {
     let scene = serde_json::json!({

@@ -73,7 +73,7 @@ impl Frames {
         edge.poses.insert(time_ns, pose);
     }
 
-    /// Frames that do not move although they are told of again and again are static.
+    /// Frames that are published again and again without moving are static.
     pub(crate) fn settle(&mut self) {
         for edge in self.edges.values_mut() {
             let mut poses = edge.poses.values();
@@ -162,7 +162,7 @@ impl Frames {
         Ok(worlds.map(|(_, frame)| frame.clone()).rev().collect())
     }
 
-    /// `world_from_frame` over time: at each time at which one of the frames between them is told of, while all are known.
+    /// `world_from_frame` over time: at each time at which one of the frames between them was published, while all are known.
     pub(crate) fn trajectory(&self, world: &str, frame: &str) -> Result<Option<Trajectory>, String> {
         let way = self.way_up(frame)?;
         let Some(at) = way.iter().position(|other| other == plain(world)) else {

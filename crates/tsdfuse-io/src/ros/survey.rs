@@ -175,7 +175,7 @@ impl Survey {
             if channel.short_kind() == "PacketMsg" {
                 continue;
             }
-            // A path is told again with each message, and the last one is the longest.
+            // Each message repeats the path, and the last one is the longest.
             let skip = if use_of(channel) == Use::Path {
                 entries.len() - 1
             } else {

@@ -7,7 +7,7 @@
 //!               viewer
 //! ```
 //!
-//! So a slow viewer slows nobody, needs no memory here, and skips what changed again meanwhile. A viewer that comes late is told all.
+//! So a slow viewer slows nothing down, needs no memory here, and skips what changed again meanwhile. A viewer that comes late gets everything.
 
 mod server;
 mod state;
@@ -37,7 +37,7 @@ const STEPS_OF_VOXEL: f64 = 64.0;
 /// Where viewers connect: the loopback address by default, which only this machine reaches.
 pub const ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), PORT);
 
-/// A live view: what it is told, viewers see at once. Clones are the same view.
+/// A live view: viewers see at once what it is given. Clones are the same view.
 #[derive(Clone, Debug)]
 pub struct Live {
     shared: Arc<Shared>,
