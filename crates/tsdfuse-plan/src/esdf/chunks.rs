@@ -1,6 +1,7 @@
 //! Sites and distances by chunks of voxels.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
 use hashbrown::{HashMap, HashSet};
 use rustc_hash::FxBuildHasher;
@@ -17,16 +18,37 @@ pub(super) const VOXELS: usize = (CHUNK * CHUNK * CHUNK) as usize;
 /// Stands for a distance beyond the radius.
 pub(super) const FAR: i16 = i16::MAX;
 
+/// A site relative to its chunk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct LocalSite {
+    /// Cells.
+    pub(super) x: u8,
+    /// Cells.
+    pub(super) y: u8,
+    /// Steps.
+    pub(super) z: u16,
+}
+
 /// 32³ voxels.
 #[derive(Clone, Debug, Default)]
 pub struct Chunk {
-    /// The sites that lie in it, by the map's block that they come from.
-    sites: BTreeMap<BlockIndex, Vec<Site>>,
+    /// The sites that lie in it, sorted. Several of the map's blocks may have the same one.
+    sites: Vec<LocalSite>,
     /// Squared distances in steps, x slowest; none where all voxels are beyond the radius.
     squared: Option<Box<[i16]>>,
 }
 
 impl Chunk {
+    /// Takes sites out, each once, and puts others in.
+    fn exchange(&mut self, mut gone: Vec<LocalSite>, new: Vec<LocalSite>) {
+        gone.sort_unstable();
+        let mut gone = gone.into_iter().peekable();
+        self.sites.retain(|site| gone.next_if_eq(site).is_none());
+        self.sites.extend(new);
+        // Two sorted runs: the second is short.
+        self.sites.sort();
+    }
+
     /// The squared distance of a voxel of the chunk, steps.
     pub(super) fn squared(&self, voxel: IVec3) -> Option<i16> {
         let at = voxel.rem_euclid(IVec3::splat(CHUNK));
@@ -50,19 +72,73 @@ impl Chunk {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Chunks {
     chunks: HashMap<IVec3, Chunk, FxBuildHasher>,
-    /// In which chunks a block has sites.
-    homes: HashMap<BlockIndex, Vec<IVec3>, FxBuildHasher>,
+    /// The sites of each of the map's blocks, sorted.
+    blocks: HashMap<BlockIndex, Box<[Site]>, FxBuildHasher>,
 }
 
-/// The chunk that holds a site.
-fn chunk_of(lattice: &Lattice, site: &Site) -> IVec3 {
-    let cells = CHUNK * CELLS;
-    let steps = CHUNK * lattice.steps;
-    IVec3::new(
+/// The chunk that holds a site, and the site within it.
+fn localize(lattice: &Lattice, site: &Site) -> (IVec3, LocalSite) {
+    let (cells, steps) = (CHUNK * CELLS, CHUNK * lattice.steps);
+    let chunk = IVec3::new(
         site.x.div_euclid(cells),
         site.y.div_euclid(cells),
         site.z.div_euclid(steps),
-    )
+    );
+    let local = LocalSite {
+        x: site.x.rem_euclid(cells) as u8,
+        y: site.y.rem_euclid(cells) as u8,
+        z: site.z.rem_euclid(steps) as u16,
+    };
+    (chunk, local)
+}
+
+/// What changed of the sites of a block.
+pub(super) struct Change {
+    block: BlockIndex,
+    sites: Box<[Site]>,
+    gone: Vec<Site>,
+    new: Vec<Site>,
+}
+
+impl Change {
+    /// `None` if the sites are as before.
+    fn of(block: BlockIndex, before: &[Site], sites: &[Site]) -> Option<Self> {
+        let only = |a: &[Site], b: &[Site]| -> Vec<Site> {
+            let differs = |site: &&Site| b.binary_search(site).is_err();
+            a.iter().filter(differs).copied().collect()
+        };
+        (before != sites).then(|| Self {
+            block,
+            gone: only(before, sites),
+            new: only(sites, before),
+            sites: sites.into(),
+        })
+    }
+
+    /// The chunks within the radius of what changed.
+    fn chunks(&self, lattice: &Lattice) -> impl Iterator<Item = IVec3> + use<> {
+        let range = |of: fn(&Site) -> i32, reach: i32, edge: i32| -> RangeInclusive<i32> {
+            let (low, high) = self
+                .gone
+                .iter()
+                .chain(&self.new)
+                .map(of)
+                .fold((i32::MAX, i32::MIN), |(low, high), at| (low.min(at), high.max(at)));
+            match low <= high {
+                true => (low - reach).div_euclid(edge)..=(high + reach).div_euclid(edge),
+                false => RangeInclusive::new(1, 0),
+            }
+        };
+        let (cells, steps) = (CHUNK * CELLS, CHUNK * lattice.steps);
+        let xs = range(|site| site.x, lattice.reach_cells(), cells);
+        let ys = range(|site| site.y, lattice.reach_cells(), cells);
+        let zs = range(|site| site.z, lattice.radius_steps, steps);
+        xs.flat_map(move |x| {
+            let zs = zs.clone();
+            ys.clone()
+                .flat_map(move |y| zs.clone().map(move |z| IVec3::new(x, y, z)))
+        })
+    }
 }
 
 impl Chunks {
@@ -70,45 +146,35 @@ impl Chunks {
         self.chunks.get(&index)
     }
 
-    /// The sites in a chunk.
-    pub(super) fn sites(&self, index: IVec3) -> impl Iterator<Item = &Site> {
-        self.chunks
-            .get(&index)
-            .into_iter()
-            .flat_map(|chunk| chunk.sites.values().flatten())
+    /// The sites in a chunk, sorted.
+    pub(super) fn sites(&self, index: IVec3) -> &[LocalSite] {
+        self.chunks.get(&index).map_or(&[], |chunk| &chunk.sites)
     }
 
-    /// Replaces the sites of blocks. Returns the chunks whose distances can be others now, sorted.
-    pub(super) fn put(&mut self, lattice: &Lattice, sampled: Vec<(BlockIndex, Vec<Site>)>) -> Vec<IVec3> {
+    /// What changes if a block has these sites now, which are sorted; `None`: nothing.
+    pub(super) fn change(&self, block: BlockIndex, sites: &[Site]) -> Option<Change> {
+        let before = self.blocks.get(&block).map_or(&[][..], |sites| sites);
+        Change::of(block, before, sites)
+    }
+
+    /// Changes sites, each block's once. Returns the chunks whose distances can be others now, sorted.
+    pub(super) fn put(&mut self, lattice: &Lattice, changes: Vec<Change>) -> Vec<IVec3> {
         let mut changed: HashSet<IVec3, FxBuildHasher> = HashSet::default();
-        for (block, mut sites) in sampled {
-            // Sites of a chunk are together.
-            sites.sort_by_key(|site| chunk_of(lattice, site).to_array());
-            let new: Vec<(IVec3, &[Site])> = sites
-                .chunk_by(|a, b| chunk_of(lattice, a) == chunk_of(lattice, b))
-                .filter_map(|sites| Some((chunk_of(lattice, sites.first()?), sites)))
-                .collect();
-            let before = self.homes.remove(&block).unwrap_or_default();
-            for &home in &before {
-                let Some(old) = self.chunks.get_mut(&home).and_then(|chunk| chunk.sites.remove(&block)) else {
-                    continue;
-                };
-                let now = new.iter().find(|(chunk, _)| *chunk == home);
-                note_changes(lattice, &old, now.map_or(&[], |(_, sites)| sites), &mut changed);
-            }
-            for (home, sites) in &new {
-                if !before.contains(home) {
-                    note_changes(lattice, &[], sites, &mut changed);
+        let mut by_chunk: BTreeMap<[i32; 3], [Vec<LocalSite>; 2]> = BTreeMap::new();
+        for change in changes {
+            changed.extend(change.chunks(lattice));
+            for (sites, which) in [(&change.gone, 0), (&change.new, 1)] {
+                for (chunk, site) in sites.iter().map(|site| localize(lattice, site)) {
+                    by_chunk.entry(chunk.to_array()).or_default()[which].push(site);
                 }
-                self.chunks
-                    .entry(*home)
-                    .or_default()
-                    .sites
-                    .insert(block, sites.to_vec());
             }
-            if !new.is_empty() {
-                self.homes.insert(block, new.iter().map(|(home, _)| *home).collect());
-            }
+            match change.sites.is_empty() {
+                true => self.blocks.remove(&change.block),
+                false => self.blocks.insert(change.block, change.sites),
+            };
+        }
+        for (chunk, [gone, new]) in by_chunk {
+            self.chunks.entry(chunk.into()).or_default().exchange(gone, new);
         }
         let mut changed: Vec<IVec3> = changed.into_iter().collect();
         changed.sort_unstable_by_key(IVec3::to_array);
@@ -145,41 +211,10 @@ impl Chunks {
 
     pub(super) fn memory_bytes(&self) -> usize {
         let chunk = |chunk: &Chunk| {
-            let sites: usize = chunk
-                .sites
-                .values()
-                .map(|sites| 64 + size_of_val(sites.as_slice()))
-                .sum();
-            sites + chunk.squared.as_ref().map_or(0, |squared| size_of_val(&**squared))
+            let squared = chunk.squared.as_ref().map_or(0, |squared| size_of_val(&**squared));
+            size_of_val(chunk.sites.as_slice()) + squared
         };
-        self.chunks.values().map(chunk).sum::<usize>() + self.homes.len() * 64
-    }
-}
-
-/// Notes the chunks within the radius of sites that are not in both lists.
-fn note_changes(lattice: &Lattice, old: &[Site], new: &[Site], changed: &mut HashSet<IVec3, FxBuildHasher>) {
-    if old == new {
-        return;
-    }
-    let only = |a: &[Site], b: &[Site]| -> Vec<Site> { a.iter().filter(|site| !b.contains(site)).copied().collect() };
-    let differing = [only(old, new), only(new, old)].concat();
-    let (cells, steps) = (lattice.reach_cells(), lattice.radius_steps);
-    let end = |of: fn(&Site) -> i32, reach: i32| {
-        let values = || differing.iter().map(of);
-        let low = values().min().map(|low| low - reach);
-        low.zip(values().max().map(|high| high + reach))
-    };
-    let ends = (
-        end(|site| site.x, cells),
-        end(|site| site.y, cells),
-        end(|site| site.z, steps),
-    );
-    let (Some(x), Some(y), Some(z)) = ends else { return };
-    let corner = |x, y, z| chunk_of(lattice, &Site { x, y, z });
-    let (low, high) = (corner(x.0, y.0, z.0), corner(x.1, y.1, z.1));
-    for x in low.x..=high.x {
-        for y in low.y..=high.y {
-            changed.extend((low.z..=high.z).map(|z| IVec3::new(x, y, z)));
-        }
+        let block = |sites: &[Site]| size_of::<(BlockIndex, Box<[Site]>)>() + size_of_val(sites);
+        self.chunks.values().map(chunk).sum::<usize>() + self.blocks.values().map(|sites| block(sites)).sum::<usize>()
     }
 }

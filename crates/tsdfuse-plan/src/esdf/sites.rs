@@ -7,7 +7,7 @@ use tsdfuse::mesh::Piece;
 use super::lattice::{CELLS, Lattice};
 
 /// A point of the surface: the mean height of all samples in a cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Site {
     /// Cells.
     pub(super) x: i32,
@@ -22,67 +22,89 @@ const SPACING: f64 = 0.5;
 /// Samples along an edge, at most. A triangle is no longer than √3 voxels of the map.
 const MAX_SAMPLES: i32 = 16;
 
+/// Farther from the origin, steps do not fit an `i32`.
+const FAR: DVec3 = DVec3::splat((1 << 30) as f64);
+const OUTSIDE: IVec3 = IVec3::MAX;
+
 /// Samples pieces; keeps memory between them.
 #[derive(Debug, Default)]
 pub(super) struct Sampler {
-    /// In steps.
+    /// In steps: the vertices, and what lies between them.
     samples: Vec<IVec3>,
-    /// Sum of heights and number of samples of each cell.
+    /// Sum of heights above the lowest cell, and number of samples of each cell.
     cells: Vec<(i64, i64)>,
+    sites: Vec<Site>,
 }
 
 impl Sampler {
     /// The sites of a piece, in order; none for what lies outside of the grid.
-    pub(super) fn sites(&mut self, lattice: &Lattice, piece: &Piece<'_>) -> Vec<Site> {
+    pub(super) fn sites(&mut self, lattice: &Lattice, piece: &Piece<'_>) -> &[Site] {
+        self.sites.clear();
         dispatch!(Level::new(), _ => self.sample(lattice, piece));
         // A power of two.
         let shift = lattice.cell_steps().trailing_zeros();
-        let cell_of = |sample: &IVec3| *sample >> shift;
-        let bounds = self.samples.iter().map(cell_of).fold(None, |bounds, cell| {
-            let (low, high) = bounds.unwrap_or((cell, cell));
-            Some((cell.min(low), cell.max(high)))
+        let samples = || self.samples.iter().filter(|sample| **sample != OUTSIDE);
+        let ends = samples().fold(None, |ends, &sample| {
+            let (low, high) = ends.unwrap_or((sample, sample));
+            Some((sample.min(low), sample.max(high)))
         });
-        let Some((low, high)) = bounds else {
-            return Vec::new();
+        let Some((low, high)) = ends.map(|(low, high)| (low >> shift, high >> shift)) else {
+            return &[];
         };
         let size = high - low + 1;
         self.cells.clear();
         self.cells.resize((size.x * size.y * size.z) as usize, (0, 0));
-        for sample in &self.samples {
-            let at = cell_of(sample) - low;
+        for sample in samples() {
+            let at = (*sample >> shift) - low;
             let (sum, count) = &mut self.cells[((at.x * size.y + at.y) * size.z + at.z) as usize];
             (*sum, *count) = (*sum + i64::from(sample.z), *count + 1);
         }
-        let site = |(at, &(sum, count)): (i32, &(i64, i64))| Site {
-            x: low.x + at / (size.y * size.z),
-            y: low.y + at / size.z % size.y,
-            // To the nearest, halves up: so a move by whole voxels changes nothing.
-            z: (2 * sum + count).div_euclid(2 * count) as i32,
-        };
-        (0..)
-            .zip(&self.cells)
-            .filter(|(_, (_, count))| *count > 0)
-            .map(site)
-            .collect()
+        let mut cells = self.cells.iter();
+        for x in low.x..=high.x {
+            for y in low.y..=high.y {
+                for &(sum, count) in cells.by_ref().take(size.z as usize) {
+                    if count > 0 {
+                        // To the nearest, halves up: so a move by whole voxels changes nothing.
+                        let z = (2 * sum + count).div_euclid(2 * count) as i32;
+                        self.sites.push(Site { x, y, z });
+                    }
+                }
+            }
+        }
+        &self.sites
     }
 
     /// All vertices, and points in between where they are far apart.
     #[inline(always)]
     fn sample(&mut self, lattice: &Lattice, piece: &Piece<'_>) {
-        /// Farther from the origin, steps do not fit an `i32`.
-        const FAR: f64 = (1 << 30) as f64;
-        self.samples.clear();
-        let samples = &mut self.samples;
-        let mut put = |point: DVec3| {
+        let sample = |point: DVec3| {
             let steps = lattice.steps_of(point);
-            if steps.abs().max_element() < FAR {
-                // To the nearest step: voxel centres may lie on borders of cells.
-                samples.push((steps + 0.5).floor().as_ivec3());
+            match steps.abs().cmplt(FAR).all() {
+                // To the nearest: voxel centres may lie on borders of cells.
+                true => (steps + 0.5).floor().as_ivec3(),
+                false => OUTSIDE,
             }
         };
-        piece.vertices.iter().copied().for_each(&mut put);
+        self.samples.clear();
+        self.samples.extend(piece.vertices.iter().map(|vertex| sample(*vertex)));
         let spacing_m = SPACING * lattice.voxel_size_m;
+        // Less by what rounding can hide.
+        let spacing = SPACING * f64::from(lattice.steps) - 2.0;
+        let squared = (spacing * spacing) as i32;
+        let count = self.samples.len();
         for triangle in piece.triangles {
+            let [a, b, c] =
+                triangle.map(|corner| self.samples[..count].get(corner as usize).copied().unwrap_or_default());
+            let is_long = |a: IVec3, b: IVec3| {
+                let [x, y, z] = [a.x.wrapping_sub(b.x), a.y.wrapping_sub(b.y), a.z.wrapping_sub(b.z)];
+                x.wrapping_mul(x)
+                    .wrapping_add(y.wrapping_mul(y))
+                    .wrapping_add(z.wrapping_mul(z))
+                    > squared
+            };
+            if !(is_long(a, b) | is_long(b, c) | is_long(c, a)) {
+                continue;
+            }
             let [a, b, c] = triangle.map(|corner| piece.vertices.get(corner as usize).copied().unwrap_or_default());
             let longest_m = a.distance(b).max(b.distance(c)).max(c.distance(a));
             if longest_m <= spacing_m {
@@ -92,7 +114,7 @@ impl Sampler {
             for i in 0..=n {
                 for j in 0..=n - i {
                     let [s, t] = [i, j].map(|k| f64::from(k) / f64::from(n));
-                    put(a + (b - a) * s + (c - a) * t);
+                    self.samples.push(sample(a + (b - a) * s + (c - a) * t));
                 }
             }
         }

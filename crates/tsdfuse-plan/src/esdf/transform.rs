@@ -14,7 +14,7 @@ use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use tsdfuse::glam::{IVec2, IVec3};
 
-use super::chunks::{CHUNK, Chunks, FAR, VOXELS};
+use super::chunks::{CHUNK, Chunks, FAR, LocalSite, VOXELS};
 use super::lattice::{CELLS, Lattice};
 
 const EDGE: usize = CHUNK as usize;
@@ -22,6 +22,10 @@ const EDGE: usize = CHUNK as usize;
 const CHUNK_CELLS: i32 = CHUNK * CELLS;
 /// Squared distances of voxels along z.
 type Column = [i16; EDGE];
+/// Columns of voxels that are found together, since they see mostly the same cells.
+const TOGETHER: usize = 4;
+/// From the first of these to the last, cells.
+const APART: usize = CELLS as usize * (TOGETHER - 1);
 
 /// A chunk and the squared distances of its voxels in steps, x slowest; none where all are beyond the radius.
 type Found = (IVec3, Option<Box<[i16]>>);
@@ -45,8 +49,9 @@ struct Tables {
     reach: i32,
     /// Chunks to each side that the radius reaches.
     beside: i32,
-    /// The squared distances between a voxel and a cell that is n cells after the first cell within its reach.
-    between: Vec<i16>,
+    /// The squared distances between a voxel and a cell that is n − [`APART`] cells after the first cell within its reach, for each voxel of a
+    /// column; [`FAR`] beyond its reach.
+    between: Vec<Column>,
     /// For each step that a site is above the bottom of a voxel: the squared distances of voxels to it, from the voxel that is
     /// [`Self::below`] below.
     heights: Vec<Vec<i16>>,
@@ -63,10 +68,14 @@ struct Planes {
 impl Tables {
     fn new(lattice: &Lattice) -> Self {
         let (reach, steps) = (lattice.reach_cells(), lattice.steps);
+        let seen = 2 * reach + CELLS;
         let between = |n: i32| {
+            if !(0..seen).contains(&n) {
+                return [FAR; EDGE];
+            }
             // From the middle of a cell to the middle of the voxel.
             let steps = (n - reach) * lattice.cell_steps() + lattice.cell_steps() / 2 - lattice.steps / 2;
-            i16::try_from(steps * steps).unwrap_or(FAR)
+            [i16::try_from(steps * steps).unwrap_or(FAR); EDGE]
         };
         // Sites up to the radius above and below a chunk are seen by voxels within the radius.
         let below = CHUNK + lattice.radius_steps / steps + 1;
@@ -81,7 +90,7 @@ impl Tables {
             lattice: *lattice,
             reach,
             beside: (reach - 1) / CHUNK_CELLS + 1,
-            between: (0..2 * reach + CELLS).map(between).collect(),
+            between: (-(APART as i32)..seen + APART as i32).map(between).collect(),
             heights: (0..steps).map(height).collect(),
             below,
         }
@@ -127,9 +136,11 @@ impl Tables {
         };
         let (first, last) = (first - self.beside, last + self.beside);
         let line_cells = ((last - first + 1) * CHUNK_CELLS) as usize;
-        let sites = self.sites(chunks, [x, z], first, &needed);
+        let mut sources = self.sources(chunks, [x, z], first, &needed);
+        let seen = -self.lattice.radius_steps..=CHUNK * self.lattice.steps + self.lattice.radius_steps;
         let mut line = vec![[FAR; EDGE]; line_cells];
         let mut has_sites = vec![false; line_cells];
+        let mut with_sites = Vec::new();
         let mut planes: BTreeMap<i32, Planes> = needed
             .into_iter()
             .map(|(y, cells)| {
@@ -137,90 +148,107 @@ impl Tables {
                 (y, Planes { cells, columns })
             })
             .collect();
-        for (cell, sites) in (0..).zip(&sites) {
-            for &(y, height) in sites {
-                let at = y as usize;
-                if !std::mem::replace(&mut has_sites[at], true) {
-                    line[at] = [FAR; EDGE];
+        for cell in 0..CHUNK_CELLS {
+            for source in &mut sources {
+                for site in source.take(cell) {
+                    let height = source.height + i32::from(site.z);
+                    if !seen.contains(&height) {
+                        continue;
+                    }
+                    let at = source.y + usize::from(site.y);
+                    if !std::mem::replace(&mut has_sites[at], true) {
+                        line[at] = [FAR; EDGE];
+                        with_sites.push(at);
+                    }
+                    self.drop_site(&mut line[at], height);
                 }
-                self.drop_site(&mut line[at], height);
             }
+            with_sites.sort_unstable();
             for (y, planes) in &mut planes {
                 if planes.cells.contains(&cell) {
                     let begin = ((y - first) * CHUNK_CELLS - self.reach) as usize;
-                    planes
-                        .columns
-                        .push(self.nearest_along_y(&line[begin..], &has_sites[begin..]));
+                    planes.columns.push(self.nearest_along_y(&line, &with_sites, begin));
                 }
             }
-            for (y, _) in sites {
-                has_sites[*y as usize] = false;
+            for at in with_sites.drain(..) {
+                has_sites[at] = false;
             }
         }
         planes
     }
 
-    /// The sites of a column of chunks that are seen from a layer: for each cell in x, their cells in y from the chunk `first` on and their
-    /// heights in steps above the layer's bottom.
-    fn sites(
+    /// The sites of a column of chunks that may be seen from a layer; `first` is the first chunk along y.
+    fn sources<'a>(
         &self,
-        chunks: &Chunks,
+        chunks: &'a Chunks,
         [x, z]: [i32; 2],
         first: i32,
         needed: &BTreeMap<i32, Range<i32>>,
-    ) -> Vec<Vec<(i32, i32)>> {
-        let mut sites = vec![Vec::new(); CHUNK_CELLS as usize];
-        let bottom = z * CHUNK * self.lattice.steps;
-        let radius = self.lattice.radius_steps;
-        let seen = -radius..=CHUNK * self.lattice.steps + radius;
+    ) -> Vec<Source<'a>> {
         let around = needed.keys().flat_map(|y| y - self.beside..=y + self.beside);
-        for y in around.collect::<BTreeSet<i32>>() {
-            let above = (-self.beside..=self.beside).map(|dz| IVec3::new(x, y, z + dz));
-            for site in above.flat_map(|chunk| chunks.sites(chunk)) {
-                let height = site.z - bottom;
-                if seen.contains(&height) {
-                    sites[site.x.rem_euclid(CHUNK_CELLS) as usize].push((site.y - first * CHUNK_CELLS, height));
-                }
-            }
-        }
-        sites
+        let around: BTreeSet<i32> = around.collect();
+        let source = |(y, dz): (i32, i32)| Source {
+            sites: chunks.sites(IVec3::new(x, y, z + dz)),
+            y: ((y - first) * CHUNK_CELLS) as usize,
+            height: dz * CHUNK * self.lattice.steps,
+        };
+        let at = around
+            .into_iter()
+            .flat_map(|y| (-self.beside..=self.beside).map(move |dz| (y, dz)));
+        at.map(source).filter(|source| !source.sites.is_empty()).collect()
     }
 
     /// Lets a column of voxels see a site.
     #[inline(always)]
     fn drop_site(&self, column: &mut Column, height: i32) {
-        let (voxel, phase) = (
-            height.div_euclid(self.lattice.steps),
-            height.rem_euclid(self.lattice.steps),
-        );
+        // Steps are a power of two.
+        let voxel = height >> self.lattice.steps.trailing_zeros();
+        let phase = height & (self.lattice.steps - 1);
         // Voxel v is v − voxel above the site's voxel.
         let begin = (self.below - voxel) as usize;
-        let squares = &self.heights[phase as usize][begin..begin + EDGE];
-        for (nearest, square) in column.iter_mut().zip(squares) {
-            *nearest = (*nearest).min(*square);
-        }
+        let Some(squares) = self.heights[phase as usize][begin..].first_chunk::<EDGE>() else {
+            return;
+        };
+        relax(column, squares, &[0; EDGE]);
     }
 
-    /// For each voxel along y, the nearest of the columns within its reach; the first of them is the first voxel's.
+    /// For each voxel along y, the nearest of the columns within its reach: those of the line that have sites. The first that the first voxel
+    /// sees is at `begin`.
     #[inline(always)]
-    fn nearest_along_y(&self, line: &[Column], has_sites: &[bool]) -> Option<Box<[Column; EDGE]>> {
-        let seen = &has_sites[..EDGE * CELLS as usize + self.between.len() - CELLS as usize];
-        if !seen.contains(&true) {
+    fn nearest_along_y(&self, line: &[Column], with_sites: &[usize], begin: usize) -> Option<Box<[Column; EDGE]>> {
+        let end = begin + EDGE * CELLS as usize + 2 * self.reach as usize;
+        let from = with_sites.partition_point(|at| *at < begin);
+        let with_sites = &with_sites[from..];
+        let with_sites = &with_sites[..with_sites.partition_point(|at| *at < end)];
+        if with_sites.is_empty() {
             return None;
         }
         let mut nearest = Box::new([[FAR; EDGE]; EDGE]);
-        for (y, nearest) in nearest.iter_mut().enumerate() {
-            let first = y * CELLS as usize;
-            let mut found = [FAR; EDGE];
-            let window = line[first..].iter().zip(&has_sites[first..]);
-            for ((column, has_sites), &between) in window.zip(&self.between) {
-                if *has_sites {
-                    relax(&mut found, column, between);
-                }
-            }
-            *nearest = found;
+        for (y, nearest) in nearest.as_chunks_mut::<TOGETHER>().0.iter_mut().enumerate() {
+            let first = begin + y * TOGETHER * CELLS as usize;
+            let from = with_sites.partition_point(|at| *at < first);
+            let seen = with_sites[from..].iter().map(|at| (at - first, &line[*at]));
+            *nearest = self.nearest(seen);
         }
         Some(nearest)
+    }
+
+    /// The nearest that voxels side by side see of columns, which are told with how many cells they are after the first that the first voxel
+    /// sees, in order.
+    #[inline(always)]
+    fn nearest<'a>(&self, columns: impl Iterator<Item = (usize, &'a Column)>) -> [Column; TOGETHER] {
+        let [mut a, mut b, mut c, mut d] = [[FAR; EDGE]; TOGETHER];
+        for (at, column) in columns {
+            // Beyond the reach of all.
+            let Some([to_d, _, to_c, _, to_b, _, to_a]) = self.between.get(at..at + APART + 1) else {
+                break;
+            };
+            relax(&mut a, column, to_a);
+            relax(&mut b, column, to_b);
+            relax(&mut c, column, to_c);
+            relax(&mut d, column, to_d);
+        }
+        [a, b, c, d]
     }
 
     #[inline(always)]
@@ -231,26 +259,26 @@ impl Tables {
             let at = cell.rem_euclid(CHUNK_CELLS) - planes.cells.start;
             planes.columns.get(usize::try_from(at).ok()?)?.as_deref()
         };
-        let within: Vec<Option<&[Column; EDGE]>> = (-self.reach..CHUNK_CELLS + self.reach).map(plane).collect();
-        if within.iter().all(Option::is_none) {
+        let within =
+            (0..(CHUNK_CELLS + 2 * self.reach) as usize).filter_map(|at| Some((at, plane(at as i32 - self.reach)?)));
+        let within: Vec<(usize, &[Column; EDGE])> = within.collect();
+        if within.is_empty() {
             return None;
         }
         let mut squared = vec![FAR; VOXELS];
-        let mut near: Vec<(&[Column; EDGE], i16)> = Vec::with_capacity(self.between.len());
         let mut is_near = false;
-        for (x, squared) in squared.chunks_exact_mut(EDGE * EDGE).enumerate() {
-            near.clear();
-            let window = within[x * CELLS as usize..].iter().zip(&self.between);
-            near.extend(window.filter_map(|(columns, between)| Some(((*columns)?, *between))));
-            for (y, column) in squared.chunks_exact_mut(EDGE).enumerate() {
-                let mut found = [FAR; EDGE];
-                for (columns, between) in &near {
-                    relax(&mut found, &columns[y], *between);
-                }
-                for (squared, found) in column.iter_mut().zip(found) {
-                    let is_within = found <= self.lattice.max_squared;
-                    *squared = if is_within { found } else { FAR };
-                    is_near |= is_within;
+        for x in (0..EDGE).step_by(TOGETHER) {
+            let first = x * CELLS as usize;
+            let within = &within[within.partition_point(|(at, _)| *at < first)..];
+            for y in 0..EDGE {
+                let found = self.nearest(within.iter().map(|(at, columns)| (at - first, &columns[y])));
+                for (x, found) in (x..).zip(found) {
+                    let at = (x * EDGE + y) * EDGE;
+                    for (squared, found) in squared[at..at + EDGE].iter_mut().zip(found) {
+                        let is_within = found <= self.lattice.max_squared;
+                        *squared = if is_within { found } else { FAR };
+                        is_near |= is_within;
+                    }
                 }
             }
         }
@@ -258,10 +286,34 @@ impl Tables {
     }
 }
 
-/// The less of what was found and of what lies so much farther.
-#[inline(always)]
-fn relax(found: &mut Column, others: &Column, farther: i16) {
-    for (found, other) in found.iter_mut().zip(others) {
-        *found = other.saturating_add(farther).min(*found);
+/// Sites of a chunk, which are taken plane by plane.
+struct Source<'a> {
+    /// Those that are left.
+    sites: &'a [LocalSite],
+    /// Where the chunk begins along y, cells.
+    y: usize,
+    /// The height of its bottom, steps.
+    height: i32,
+}
+
+impl<'a> Source<'a> {
+    /// Those of the next cell along x.
+    fn take(&mut self, cell: i32) -> &'a [LocalSite] {
+        let count = self.sites.iter().take_while(|site| i32::from(site.x) <= cell).count();
+        let (taken, left) = self.sites.split_at(count);
+        self.sites = left;
+        taken
     }
 }
+
+/// The less of what was found and of what lies so much farther.
+#[inline(always)]
+fn relax(found: &mut Column, others: &Column, farther: &Column) {
+    // As values: they stay in registers.
+    *found = std::array::from_fn(|i| others[i].saturating_add(farther[i]).min(found[i]));
+}
+
+const _: () = assert!(
+    TOGETHER == 4 && CELLS == 2,
+    "how many columns are relaxed together is written out"
+);
