@@ -28,6 +28,7 @@ pub struct LiveRun {
     has_begun: bool,
     place: Option<DVec3>,
     shown: Option<Instant>,
+    told: Option<Instant>,
     scans: usize,
     asked: Option<usize>,
     skipped: usize,
@@ -45,6 +46,7 @@ impl LiveRun {
             has_begun: false,
             place: None,
             shown: None,
+            told: None,
             scans: 0,
             asked: None,
             skipped: 0,
@@ -108,7 +110,10 @@ impl Observer for LiveRun {
                 self.sums += &report.sums;
                 self.blocks = blocks.len();
                 self.live.scan(self.place, report.sums.prepare + report.sums.fuse);
-                self.figures();
+                if self.told.is_none_or(|at| at.elapsed() >= PAUSE) {
+                    self.told = Some(Instant::now());
+                    self.figures();
+                }
             }
             Event::ScanSkipped { .. } => self.skipped += 1,
             Event::SurfaceChanged(changes) => {

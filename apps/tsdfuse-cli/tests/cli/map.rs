@@ -376,6 +376,16 @@ fn what_is_wrong_with_a_map_is_said_in_one_line() {
     fs::write(&map, "ply\n").unwrap();
     let line = tsdfuse(&["mesh", &map, "-o", &mesh]).failed(1);
     assert!(line.contains("box.tsdf: the file ends within its header"), "{line}");
+    fs::write(
+        &map,
+        format!("ply\nformat binary_little_endian 1.0\n{}", " ".repeat(100)),
+    )
+    .unwrap();
+    let line = tsdfuse(&["render", &map, "-o", &folder.path("box.png")]).failed(1);
+    assert!(
+        line.contains("this is a mesh, not a map; `tsdfuse view` shows it"),
+        "{line}"
+    );
     fs::write(&map, [b'x'; 100]).unwrap();
     let line = tsdfuse(&["mesh", &map, "-o", &mesh]).failed(1);
     assert!(

@@ -7,6 +7,9 @@ use tsdfuse::map::{MapConfig, MapError, WEIGHT_SCALE};
 
 use crate::error::Error;
 
+/// How meshes begin: .ply, .glb and .obj.
+const MESHES: [&[u8]; 5] = [b"ply\n", b"ply\r", b"glTF", b"v ", b"# tsdfuse"];
+
 pub(super) const MAGIC: [u8; 8] = *b"TSDFMAP\n";
 /// The version that is written.
 pub(super) const VERSION: u32 = 4;
@@ -104,7 +107,11 @@ impl Header {
     pub(super) fn read(bytes: &mut impl Read) -> Result<Self, Wrong> {
         let start: [u8; HEADER] = array(bytes)?;
         if start[..8] != MAGIC {
-            return wrong("this is no map saved by tsdfuse");
+            let is_mesh = MESHES.iter().any(|first| start.starts_with(first));
+            return wrong(match is_mesh {
+                true => "this is a mesh, not a map; `tsdfuse view` shows it",
+                false => "this is no map saved by tsdfuse",
+            });
         }
         let version = u32::from_le_bytes(array(&mut &start[8..])?);
         if !(1..=VERSION).contains(&version) {

@@ -7,7 +7,7 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tiny_http::{Header, Request, Response, StatusCode};
 use tungstenite::handshake::derive_accept_key;
@@ -23,6 +23,9 @@ const MOST_VIEWERS: usize = 16;
 
 /// A viewer is told something at least so often, so that one that is gone is noticed.
 const SIGN_OF_LIFE: Duration = Duration::from_secs(20);
+
+/// From one message to the next while something grows: so often a viewer is told what changed, and what changed twice is told once.
+const PAUSE: Duration = Duration::from_millis(70);
 
 /// A server that answers until it is dropped.
 pub(super) struct Server {
@@ -211,11 +214,15 @@ fn view(stream: impl Read + Write, shared: &Shared) -> tungstenite::Result<()> {
     let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
     let mut seen = Seen::default();
     while !shared.is_closing() {
+        let told = Instant::now();
         match shared.next(&mut seen, SIGN_OF_LIFE) {
             Some(news) => socket.send(Message::binary(news))?,
             None => socket.send(Message::text("{}"))?,
         }
         while !matches!(socket.read()?, Message::Text(_)) {}
+        if shared.grows() {
+            thread::sleep(PAUSE.saturating_sub(told.elapsed()));
+        }
     }
     socket.close(None)
 }

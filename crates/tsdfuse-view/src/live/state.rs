@@ -61,6 +61,11 @@ impl Shared {
         self.change(|state| state.closing = true);
     }
 
+    /// Whether more will come.
+    pub(super) fn grows(&self) -> bool {
+        self.look(|state| !state.scene.1.ended)
+    }
+
     pub(super) fn is_closing(&self) -> bool {
         self.look(|state| state.closing)
     }
