@@ -1,10 +1,10 @@
-//! A log whose sensors have other errors than its format gives them, or a clock that differs from that of its poses.
+//! A log whose sensors have another model or other errors than its format gives them, or a clock that differs from that of its poses.
 
 use std::sync::Arc;
 
 use tsdfuse::sensor::SensorCorrection;
 use tsdfuse::trajectory::ns_after;
-use tsdfuse::{Pose, Scan, Trajectory};
+use tsdfuse::{Pose, Scan, SensorModel, Trajectory};
 
 use crate::error::{Error, Result};
 use crate::placed;
@@ -31,6 +31,16 @@ impl Corrected {
     pub(crate) fn new(source: Arc<dyn Source>, correction: &SensorCorrection) -> Self {
         let mut sensors = source.sensors().to_vec();
         set(&mut sensors, correction);
+        Self {
+            source,
+            sensors,
+            replaced: None,
+        }
+    }
+
+    pub(crate) fn of_model(source: Arc<dyn Source>, model: &SensorModel) -> Self {
+        let mut sensors = source.sensors().to_vec();
+        set_model(&mut sensors, model);
         Self {
             source,
             sensors,
@@ -91,6 +101,13 @@ impl Corrected {
             sensors,
             replaced: Some(replaced),
         })
+    }
+}
+
+/// Gives all sensors a model.
+pub(crate) fn set_model(sensors: &mut [Sensor], model: &SensorModel) {
+    for sensor in sensors {
+        sensor.model = Some(model.clone());
     }
 }
 

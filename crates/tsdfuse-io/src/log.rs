@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::{Arc, PoisonError};
 
 use tsdfuse::sensor::SensorCorrection;
-use tsdfuse::{Scan, Trajectory};
+use tsdfuse::{Scan, SensorModel, Trajectory};
 
 use crate::corrected::{self, Corrected};
 use crate::error::{Error, Result};
@@ -134,6 +134,11 @@ pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
         ..options.clone()
     };
     let mut log = open_as_told(path, &options)?;
+    // A name may ask for another model.
+    let wants_model = matches!(log.sensors(), [sensor] if options.sensors.is_empty() || sensor.model.is_none());
+    if let Some(model) = told.model.filter(|_| wants_model) {
+        log = log.with_model(&model);
+    }
     let of_log = log.sensors().first().and_then(|sensor| sensor.time_offset_s);
     if let Some(secs) = told.time_offset_s.or(of_log).filter(|secs| *secs != 0.0) {
         log = log.with_time_offset(secs)?;
@@ -214,6 +219,20 @@ impl Log {
             )),
         });
         Ok(Self::new(Together::new(sources.collect::<Result<_>>()?)?))
+    }
+
+    /// With sensors of this model.
+    #[must_use]
+    pub fn with_model(self, model: &SensorModel) -> Self {
+        match self.0 {
+            Input::Source(source) => Self::new(Corrected::of_model(source, model)),
+            Input::Stream(mut live) => {
+                if let Some(live) = Arc::get_mut(&mut live) {
+                    corrected::set_model(&mut live.sensors, model);
+                }
+                Self(Input::Stream(live))
+            }
+        }
     }
 
     /// With other errors of its sensors to take back than its format tells ([`Sensor::correction`](crate::Sensor::correction)).

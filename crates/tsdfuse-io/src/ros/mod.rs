@@ -43,6 +43,7 @@ mod schema;
 mod server;
 mod sink;
 mod survey;
+mod told;
 mod value;
 mod writer;
 

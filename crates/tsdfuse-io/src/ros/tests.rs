@@ -619,3 +619,24 @@ fn a_recording_that_stands_still_is_over() {
     let scans: Vec<_> = log.into_iter().map(Result::unwrap).collect();
     assert!((2..10).contains(&scans.len()), "{}", scans.len());
 }
+
+#[test]
+fn a_file_tells_the_beams_of_a_sensor_in_a_recording() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("sensor.toml");
+    let model = tsdfuse::sensor::model("hdl32e").unwrap();
+    let sensor = crate::Sensor {
+        model: Some(model.clone()),
+        ..crate::Sensor::new("lidar")
+    };
+    crate::sensor_file::write(&file, &sensor).unwrap();
+    let options = |names: &[&str]| OpenOptions {
+        sensor_file: Some(file.clone()),
+        sensors: names.iter().map(ToString::to_string).collect(),
+        ..OpenOptions::default()
+    };
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/ros/zstd.mcap");
+    let log = crate::open_with(&path, &options(&["/points"])).unwrap();
+    assert_eq!(log.sensors()[0].model.as_ref(), Some(&model));
+    assert!(log.read(0).is_ok());
+}

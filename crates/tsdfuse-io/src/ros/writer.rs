@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use tsdfuse::trajectory::ns_after;
 use tsdfuse::{Pose, Scan};
 
 use super::mcap_file::McapFile;
 use super::sink::Sink;
+use super::told::Told;
 use crate::error::{Error, Result};
 use crate::point_rows;
 use crate::source::{ImuSample, Sensor};
@@ -19,7 +19,8 @@ pub(super) const WORLD: &str = "map";
 /// have them, each sensor under a topic of its own, and its poses during each sweep as tf from `map`. Samples of an inertial measurement
 /// unit become `Imu`.
 ///
-/// Points, rings and times come back bit for bit, poses up to rounding. A file appears when it is finished.
+/// Points, rings and times come back bit for bit, poses up to rounding. tf knows one pose at a time: where a sweep overlaps in time with the one
+/// before and moves otherwise, its points are turned so that they keep their place in the world. A file appears when it is finished.
 pub struct Writer {
     sink: Box<dyn Sink>,
     /// Channel, topic and frame of each sensor's clouds.
@@ -27,8 +28,8 @@ pub struct Writer {
     tf: u16,
     /// Channels of other topics.
     others: BTreeMap<String, u16>,
-    /// The times at which each sensor's pose was told, and the last scan's.
-    told: Vec<BTreeMap<i64, Pose>>,
+    /// What was told of each sensor's way.
+    told: Vec<Told>,
     scans: u64,
 }
 
@@ -119,7 +120,7 @@ impl Writer {
         }
         Ok(Self {
             sink,
-            told: vec![BTreeMap::new(); clouds.len()],
+            told: clouds.iter().map(|_| Told::default()).collect(),
             clouds,
             tf,
             others: BTreeMap::new(),
@@ -185,7 +186,9 @@ impl Writer {
         })?;
         let time_ns = self.time_ns(scan);
         self.scans += 1;
-        for (time_ns, pose) in self.poses(sensor, time_ns, scan) {
+        let followed = self.told.get_mut(sensor).map(|told| told.follow(time_ns, scan));
+        let (poses, points) = followed.unwrap_or_default();
+        for (time_ns, pose) in poses {
             let mut message = Cdr::new();
             message.u32(1);
             message.header(time_ns, WORLD);
@@ -193,7 +196,12 @@ impl Writer {
             message.pose(&pose);
             self.write(self.tf, time_ns, message)?;
         }
-        self.write(channel, time_ns, cloud(scan, time_ns, &frame))
+        let turned = points.map(|points| Scan { points, ..scan.clone() });
+        self.write(
+            channel,
+            time_ns,
+            cloud(turned.as_ref().unwrap_or(scan), time_ns, &frame),
+        )
     }
 
     /// Writes what an inertial measurement unit measured, in the frame of the first sensor.
@@ -221,32 +229,6 @@ impl Writer {
             self.write(channel, sample.time_ns, message)?;
         }
         Ok(())
-    }
-
-    /// The poses during a scan that are not told yet. At each time there is one pose; where a sweep's motion begins with another pose
-    /// than the scan before ended with, it begins a nanosecond later.
-    fn poses(&mut self, sensor: usize, time_ns: i64, scan: &Scan) -> Vec<(i64, Pose)> {
-        let (Some(pose), Some(told)) = (scan.pose, self.told.get_mut(sensor)) else {
-            return Vec::new();
-        };
-        let moved = scan.motion.iter().map(|m| (ns_after(time_ns, m.secs), m.pose));
-        let mut new = Vec::new();
-        for (mut at, pose) in std::iter::once((time_ns, pose)).chain(moved) {
-            if told.get(&at) == Some(&pose) {
-                continue;
-            }
-            while told.contains_key(&at) {
-                at += 1;
-            }
-            told.insert(at, pose);
-            new.push((at, pose));
-        }
-        // Older ones are not met again.
-        while told.len() > 1000 {
-            told.pop_first();
-        }
-        new.sort_by_key(|(at, _)| *at);
-        new
     }
 
     /// Completes the file.
