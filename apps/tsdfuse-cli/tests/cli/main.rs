@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)] // the setting for tests does not reach their helpers
 
 mod bad_input;
+mod bags;
 mod bench;
 mod browser;
 mod convert;

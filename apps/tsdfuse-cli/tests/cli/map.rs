@@ -381,7 +381,7 @@ fn what_is_wrong_with_a_map_is_said_in_one_line() {
         format!("ply\nformat binary_little_endian 1.0\n{}", " ".repeat(100)),
     )
     .unwrap();
-    let line = tsdfuse(&["render", &map, "-o", &folder.path("box.png")]).failed(1);
+    let line = tsdfuse(&["render", &map, "-o", &folder.text("box.png")]).failed(1);
     assert!(
         line.contains("this is a mesh, not a map; `tsdfuse view` shows it"),
         "{line}"

@@ -3,32 +3,15 @@
 //! `TSDFUSE_PYTHON` names a Python that has them, as in CI. Without the variable `python3` is tried, and the tests say so and pass if that
 //! lacks one.
 
-#![allow(clippy::print_stderr)]
-
 use std::path::Path;
 use std::process::Command;
 
-use crate::run::{Folder, tsdfuse};
+use crate::run::{Folder, python, tsdfuse};
 #[cfg(feature = "serve")]
 use crate::serving::Serving;
 
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/readers.py");
 const COARSE: [&str; 4] = ["--voxel-size", "0.2", "--truncation", "0.6"];
-
-/// The interpreter, if it has these modules.
-fn python(modules: &str) -> Option<String> {
-    let python = std::env::var("TSDFUSE_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let found = Command::new(&python)
-        .args(["-c", &format!("import {modules}")])
-        .output();
-    if found.is_ok_and(|run| run.status.success()) {
-        return Some(python);
-    }
-    let is_asked = std::env::var_os("TSDFUSE_PYTHON").is_some();
-    assert!(!is_asked, "{python} cannot import {modules}");
-    eprintln!("SKIPPED: {python} cannot import {modules}; TSDFUSE_PYTHON names another one");
-    None
-}
 
 /// Lets other programs read; what they say.
 fn read(python: &str, arguments: &[&str]) -> serde_json::Value {

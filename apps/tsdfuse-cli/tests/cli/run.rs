@@ -100,3 +100,19 @@ pub(crate) fn names(folder: &Path) -> Vec<String> {
     names.sort();
     names
 }
+
+/// The interpreter that `TSDFUSE_PYTHON` names, if it has these modules.
+#[allow(clippy::print_stderr)]
+pub(crate) fn python(modules: &str) -> Option<String> {
+    let python = std::env::var("TSDFUSE_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let found = Command::new(&python)
+        .args(["-c", &format!("import {modules}")])
+        .output();
+    if found.is_ok_and(|run| run.status.success()) {
+        return Some(python);
+    }
+    let is_asked = std::env::var_os("TSDFUSE_PYTHON").is_some();
+    assert!(!is_asked, "{python} cannot import {modules}");
+    eprintln!("SKIPPED: {python} cannot import {modules}; TSDFUSE_PYTHON names another one");
+    None
+}
