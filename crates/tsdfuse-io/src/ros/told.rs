@@ -35,8 +35,9 @@ impl Told {
         if sweep.is_some() {
             let secs = scan.times.iter().flatten().filter(|secs| secs.is_finite());
             let (first, last) = secs.fold((0.0f32, 0.0f32), |(first, last), &t| (first.min(t), last.max(t)));
-            // A nanosecond farther, so that rounding leaves no return outside.
-            let (first, last) = (ns_after(time_ns, first.into()) - 1, ns_after(time_ns, last.into()) + 1);
+            // A nanosecond farther, so that rounding leaves no return outside; but a time since 0 stays one.
+            let first = (ns_after(time_ns, first.into()) - 1).max(time_ns.min(0));
+            let last = ns_after(time_ns, last.into()) + 1;
             let knots = scan.motion.iter().map(|m| ns_after(time_ns, m.secs));
             times.extend(knots.filter(|&t| first < t && t < last).chain([first, last]));
         }
