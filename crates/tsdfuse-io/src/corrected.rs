@@ -29,18 +29,16 @@ struct Replaced {
 
 impl Corrected {
     pub(crate) fn new(source: Arc<dyn Source>, correction: &SensorCorrection) -> Self {
-        let mut sensors = source.sensors().to_vec();
-        set(&mut sensors, correction);
-        Self {
-            source,
-            sensors,
-            replaced: None,
-        }
+        Self::of_sensors(source, |sensors| set(sensors, correction))
     }
 
     pub(crate) fn of_model(source: Arc<dyn Source>, model: &SensorModel) -> Self {
+        Self::of_sensors(source, |sensors| set_model(sensors, model))
+    }
+
+    fn of_sensors(source: Arc<dyn Source>, change: impl FnOnce(&mut [Sensor])) -> Self {
         let mut sensors = source.sensors().to_vec();
-        set_model(&mut sensors, model);
+        change(&mut sensors);
         Self {
             source,
             sensors,
