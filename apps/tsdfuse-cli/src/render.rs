@@ -195,9 +195,10 @@ impl Args {
     }
 
     fn is_asked(&self, name: &str) -> bool {
-        match self.image.is_empty() {
-            true => name == ImageKind::default().name(),
-            false => self.image.iter().any(|asked| asked == name),
+        if self.image.is_empty() {
+            name == ImageKind::default().name()
+        } else {
+            self.image.iter().any(|asked| asked == name)
         }
     }
 
@@ -237,9 +238,12 @@ impl Args {
 
     /// The pictures of a scan to make; none twice.
     fn pictures(&self) -> Result<Vec<Picture>, Usage> {
-        let asked = |picture: &Picture| match self.image.is_empty() {
-            true => *picture == Picture::Normals,
-            false => self.image.iter().any(|name| name == picture.name()),
+        let asked = |picture: &Picture| {
+            if self.image.is_empty() {
+                *picture == Picture::Normals
+            } else {
+                self.image.iter().any(|name| name == picture.name())
+            }
         };
         self.none_else(
             Picture::ALL.map(Picture::name).as_slice(),

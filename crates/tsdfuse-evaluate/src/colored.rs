@@ -19,9 +19,10 @@ pub fn by_distance(mesh: &Mesh, reference: &Reference, max_error_m: f64) -> Vec<
 /// # Errors
 /// Names the file and what is possible.
 pub fn check(path: &Path) -> tsdfuse_io::Result<()> {
-    match page::is_page(path) {
-        true => Ok(()),
-        false => tsdfuse_io::mesh::check_colored(path),
+    if page::is_page(path) {
+        Ok(())
+    } else {
+        tsdfuse_io::mesh::check_colored(path)
     }
 }
 

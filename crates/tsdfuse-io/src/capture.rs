@@ -458,9 +458,12 @@ impl Capture {
             all.sort_by_key(|(time_ns, sender, number, _)| (*time_ns, *sender, *number));
         }
         let several = self.senders.len() > 1;
-        let name = |sender: usize, number: usize| match several {
-            true => format!("{} sweep {number}", self.sensors[sender].name),
-            false => format!("sweep {number}"),
+        let name = |sender: usize, number: usize| {
+            if several {
+                format!("{} sweep {number}", self.sensors[sender].name)
+            } else {
+                format!("sweep {number}")
+            }
         };
         self.scans = all
             .iter()

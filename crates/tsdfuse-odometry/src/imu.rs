@@ -51,7 +51,7 @@ const TURNED: f64 = 0.15;
 /// How a sweep is predicted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum ForetoldBy {
+pub enum PredictedBy {
     /// The motion before goes on.
     #[default]
     Motion,
@@ -86,12 +86,12 @@ struct Sample {
 
 /// A sweep as it is predicted, with the velocity at its end, m/s in the world.
 #[derive(Clone, Debug)]
-pub(crate) struct Foretold {
+pub(crate) struct Prediction {
     pub(crate) motion: Motion,
     pub(crate) velocity: DVec3,
 }
 
-impl Foretold {
+impl Prediction {
     /// How far the end is off, metres (turns as shifts at [`ARM_M`]).
     fn error(&self, end: &Pose) -> f64 {
         let off = self.motion.last().inverse() * *end;
@@ -285,7 +285,7 @@ impl Inertial {
     }
 
     /// A sweep that begins `gap` seconds after the end of the last one and takes `secs`.
-    pub(crate) fn foretell(&self, last: &End, gap: f64, secs: f64, is_forced: bool) -> Option<Foretold> {
+    pub(crate) fn predict(&self, last: &End, gap: f64, secs: f64, is_forced: bool) -> Option<Prediction> {
         let begin = last.secs + gap;
         let (pose, velocity) = if gap > 0.0 {
             let (poses, velocity) = self.integrate(last, begin, (gap / 0.01).ceil() as usize, is_forced)?;
@@ -299,25 +299,25 @@ impl Inertial {
             velocity,
         };
         if secs <= 0.0 {
-            return Some(Foretold {
+            return Some(Prediction {
                 motion: Motion::still(pose),
                 velocity,
             });
         }
         let (poses, velocity) = self.integrate(&from, begin + secs, STEPS, is_forced)?;
-        Some(Foretold {
+        Some(Prediction {
             motion: Motion { poses: poses.into() },
             velocity,
         })
     }
 
     /// Which of the three predictions (by the motion before, by turns, by all) is to be used.
-    pub(crate) fn choose(&self, foretold: [Option<&Foretold>; 3]) -> ForetoldBy {
-        let ways = [ForetoldBy::Motion, ForetoldBy::Gyroscope, ForetoldBy::Imu];
-        let known = || (0..3).filter(|&way| foretold[way].is_some());
+    pub(crate) fn choose(&self, predicted: [Option<&Prediction>; 3]) -> PredictedBy {
+        let ways = [PredictedBy::Motion, PredictedBy::Gyroscope, PredictedBy::Imu];
+        let known = || (0..3).filter(|&way| predicted[way].is_some());
         let least = known().map(|way| self.errors[way]).fold(f64::INFINITY, f64::min);
         let best = known().rev().find(|&way| self.errors[way] <= 1.2 * least + EVEN);
-        best.map_or(ForetoldBy::Motion, |way| ways[way])
+        best.map_or(PredictedBy::Motion, |way| ways[way])
     }
 
     /// Learns from a sweep that was registered: `last` is the end of the one before, `used` how it was predicted.
@@ -326,29 +326,29 @@ impl Inertial {
         last: &End,
         end: &End,
         secs: f64,
-        foretold: [Option<&Foretold>; 3],
-        used: ForetoldBy,
+        predicted: [Option<&Prediction>; 3],
+        used: PredictedBy,
         is_position_known: bool,
     ) {
-        for (error, foretold) in self.errors.iter_mut().zip(foretold) {
+        for (error, predicted) in self.errors.iter_mut().zip(predicted) {
             // What cannot be predicted is no better than the worst.
-            let new = foretold.map_or(*error, |foretold| foretold.error(&end.pose));
+            let new = predicted.map_or(*error, |predicted| predicted.error(&end.pose));
             let share = if new > *error { 0.5 } else { 0.2 };
             *error += share * (new - *error);
         }
         match used {
-            ForetoldBy::Motion => {}
-            ForetoldBy::Gyroscope => self.report.predicted[0] += 1,
-            ForetoldBy::Imu => self.report.predicted[1] += 1,
+            PredictedBy::Motion => {}
+            PredictedBy::Gyroscope => self.report.predicted[0] += 1,
+            PredictedBy::Imu => self.report.predicted[1] += 1,
         }
         self.check_turns(last, end);
-        if let Some(foretold) = foretold[1] {
-            self.learn_turn(&foretold.motion.last(), end, end.secs - last.secs);
+        if let Some(predicted) = predicted[1] {
+            self.learn_turn(&predicted.motion.last(), end, end.secs - last.secs);
         }
         self.check_force(end.secs - secs, end.secs);
         match &self.gravity {
             None => self.begin_gravity(end, secs),
-            Some(_) if is_position_known => self.learn_force(last, end, foretold[2]),
+            Some(_) if is_position_known => self.learn_force(last, end, predicted[2]),
             Some(_) => {}
         }
         let old = self.samples.partition_point(|sample| sample.secs < last.secs - 1.0);
@@ -356,8 +356,8 @@ impl Inertial {
     }
 
     /// The gyroscope's bias, from how far a turn was off.
-    fn learn_turn(&mut self, foretold: &Pose, end: &End, secs: f64) {
-        let off = turn_of(foretold.rotation.conjugate() * end.pose.rotation);
+    fn learn_turn(&mut self, predicted: &Pose, end: &End, secs: f64) {
+        let off = turn_of(predicted.rotation.conjugate() * end.pose.rotation);
         if !(secs > 0.0) || off.length() > 0.02 {
             return;
         }
@@ -385,12 +385,12 @@ impl Inertial {
     }
 
     /// Gravity and the accelerometer's bias, from how far the velocity was off (a Kalman filter).
-    fn learn_force(&mut self, last: &End, end: &End, foretold: Option<&Foretold>) {
+    fn learn_force(&mut self, last: &End, end: &End, predicted: Option<&Prediction>) {
         let secs = end.secs - last.secs;
-        let (Some(foretold), Some((state, covariance))) = (foretold, &mut self.gravity) else {
+        let (Some(predicted), Some((state, covariance))) = (predicted, &mut self.gravity) else {
             return;
         };
-        let off = end.velocity - foretold.velocity;
+        let off = end.velocity - predicted.velocity;
         if !(secs > 0.0) || off.length() > 1.0 {
             return;
         }
@@ -584,38 +584,35 @@ mod tests {
     }
 
     /// The motion that would be predicted without a unit.
-    fn steady(last: &End, secs: f64) -> Foretold {
+    fn steady(last: &End, secs: f64) -> Prediction {
         let turned = pose(last.secs - secs).inverse() * last.pose;
-        Foretold {
+        Prediction {
             motion: Motion::steady(last.pose, &turned),
             velocity: last.velocity,
         }
     }
 
     /// Learns from ten sweeps a second, placed exactly; says how far the ways predicted the last ones, and which one is chosen.
-    fn learnt(samples: Vec<ImuSample>, secs: f64) -> (Inertial, [f64; 3], ForetoldBy) {
+    fn learnt(samples: Vec<ImuSample>, secs: f64) -> (Inertial, [f64; 3], PredictedBy) {
         let mut imu = Inertial::new();
         imu.push(samples);
-        let mut used = ForetoldBy::Motion;
+        let mut used = PredictedBy::Motion;
         for sweep in 1..(10.0 * secs) as usize {
             let (last, now) = (end(0.1 * sweep as f64), end(0.1 * (sweep + 1) as f64));
-            let (turned, forced) = (
-                imu.foretell(&last, 0.0, 0.1, false),
-                imu.foretell(&last, 0.0, 0.1, true),
-            );
+            let (turned, forced) = (imu.predict(&last, 0.0, 0.1, false), imu.predict(&last, 0.0, 0.1, true));
             let steady = steady(&last, 0.1);
-            let foretold = [Some(&steady), turned.as_ref(), forced.as_ref()];
-            used = imu.choose(foretold);
-            imu.learn(&last, &now, 0.1, foretold, used, true);
+            let predicted = [Some(&steady), turned.as_ref(), forced.as_ref()];
+            used = imu.choose(predicted);
+            imu.learn(&last, &now, 0.1, predicted, used, true);
         }
         let errors = imu.errors;
         (imu, errors, used)
     }
 
     #[test]
-    fn biases_and_gravity_are_learnt_and_sweeps_foretold_to_a_millimetre() {
+    fn biases_and_gravity_are_learnt_and_sweeps_predicted_to_a_millimetre() {
         let (imu, [steady, turned, forced], used) = learnt(samples(31.0), 30.0);
-        assert_eq!(used, ForetoldBy::Imu);
+        assert_eq!(used, PredictedBy::Imu);
         assert!(
             steady > 0.05 && turned < 0.03 && forced < 0.003,
             "{steady} {turned} {forced}"
@@ -631,13 +628,13 @@ mod tests {
     #[test]
     fn poses_within_a_sweep_follow_the_unit() {
         let (imu, ..) = learnt(samples(31.0), 30.0);
-        let foretold = imu.foretell(&end(30.0), 0.1, 0.1, true).unwrap();
-        for (j, got) in foretold.motion.poses.iter().enumerate() {
+        let predicted = imu.predict(&end(30.0), 0.1, 0.1, true).unwrap();
+        for (j, got) in predicted.motion.poses.iter().enumerate() {
             let want = pose(30.1 + 0.1 * j as f64 / STEPS as f64);
             assert!(want.translation.distance(got.translation) < 0.003);
             assert!(turn_of(want.rotation.conjugate() * got.rotation).length() < 0.001);
         }
-        assert!(foretold.velocity.distance(velocity(30.2)) < 0.02);
+        assert!(predicted.velocity.distance(velocity(30.2)) < 0.02);
     }
 
     #[test]
@@ -651,7 +648,7 @@ mod tests {
         let notes = imu.report().notes;
         assert!(notes.iter().any(|note| note.contains("in degrees")), "{notes:?}");
         assert!(notes.iter().any(|note| note.contains("in g, ")), "{notes:?}");
-        assert!(used == ForetoldBy::Imu && forced < 0.01, "{used:?} {forced}");
+        assert!(used == PredictedBy::Imu && forced < 0.01, "{used:?} {forced}");
     }
 
     #[test]
@@ -668,7 +665,7 @@ mod tests {
             notes.len() == 1 && notes[0].contains("turned against the LiDAR"),
             "{notes:?}"
         );
-        assert!(used == ForetoldBy::Imu && forced < 0.01, "{used:?} {forced}");
+        assert!(used == PredictedBy::Imu && forced < 0.01, "{used:?} {forced}");
     }
 
     #[test]
@@ -679,23 +676,23 @@ mod tests {
             sample.time_ns = 5_000_000 * i as i64;
         }
         let (imu, _, used) = learnt(late, 25.0);
-        assert_eq!(used, ForetoldBy::Motion);
+        assert_eq!(used, PredictedBy::Motion);
         let notes = imu.report().notes;
         assert!(notes.len() == 1 && notes[0].contains("it is not used"), "{notes:?}");
     }
 
     #[test]
-    fn without_samples_all_along_nothing_is_foretold() {
+    fn without_samples_all_along_nothing_is_predicted() {
         let mut gapped = samples(2.0);
         gapped.retain(|sample| !(500_000_000..700_000_000).contains(&sample.time_ns));
         let mut imu = Inertial::new();
         imu.push(gapped.iter().copied().chain(gapped.iter().copied()));
         assert_eq!(imu.report().samples, gapped.len());
-        assert!(imu.foretell(&end(0.2), 0.0, 0.1, false).is_some());
-        assert!(imu.foretell(&end(0.45), 0.0, 0.1, false).is_none());
-        assert!(imu.foretell(&end(1.95), 0.0, 0.1, false).is_none());
+        assert!(imu.predict(&end(0.2), 0.0, 0.1, false).is_some());
+        assert!(imu.predict(&end(0.45), 0.0, 0.1, false).is_none());
+        assert!(imu.predict(&end(1.95), 0.0, 0.1, false).is_none());
         assert!(
-            imu.foretell(&end(0.2), 0.0, 0.1, true).is_none(),
+            imu.predict(&end(0.2), 0.0, 0.1, true).is_none(),
             "gravity is not known yet"
         );
     }

@@ -16,7 +16,7 @@ mod systematic;
 mod tracker;
 
 pub use calibrate::shared_errors;
-pub use imu::{ForetoldBy, ImuReport};
+pub use imu::{ImuReport, PredictedBy};
 pub use locate::Search;
 pub use mounting::{Mounting, mounting};
 pub use refiner::{Refined, Refiner, common_shift};

@@ -10,7 +10,7 @@ use tsdfuse::Pose;
 
 use crate::cells::Cells;
 use crate::motion::{Motion, turn_of};
-use crate::register::{Prediction, Registered, register};
+use crate::register::{Prior, Registered, register};
 use crate::returns::{KERNEL, Return, kernel};
 
 /// Returns by which a pose is judged before it is registered.
@@ -153,7 +153,7 @@ fn judge(cells: &Cells, judges: &[DVec3], pose: &Pose) -> f64 {
 /// A sweep registered from a pose on that is roughly known.
 fn placed_at(cells: &Cells, sparse: &[Return], dense: &[Return], motion: &Motion, pose: &Pose) -> Registered {
     let to_pose = *pose * motion.first().inverse();
-    let mut prediction = Prediction {
+    let mut prior = Prior {
         motion: motion.moved(&to_pose),
         begin: Matrix6::from_diagonal(&[1.0, 1.0, 1.0, 10.0, 10.0, 10.0].into()),
         step_sigma: (0.02, 0.005),
@@ -163,8 +163,8 @@ fn placed_at(cells: &Cells, sparse: &[Return], dense: &[Return], motion: &Motion
         reach: 1.5,
     };
     // From afar, then from nearby with the planes that lie there.
-    let far = register(cells, sparse, dense, &prediction);
-    prediction.motion = far.motion;
-    prediction.reach = 0.3;
-    register(cells, sparse, dense, &prediction)
+    let far = register(cells, sparse, dense, &prior);
+    prior.motion = far.motion;
+    prior.reach = 0.3;
+    register(cells, sparse, dense, &prior)
 }

@@ -187,8 +187,8 @@ fn difference(moved: &Moved, unknowns: &Unknowns) -> [DVec3; 2] {
         rotation: DQuat::from_scaled_axis(DVec3::from_slice(&x[3..6])),
     };
     let [from, to] = moved.given.each_ref().map(|given| given.after(x[6]));
-    let foretold = mounted.inverse() * from.inverse() * to * mounted;
-    let off = moved.tracked.inverse() * foretold;
+    let predicted = mounted.inverse() * from.inverse() * to * mounted;
+    let off = moved.tracked.inverse() * predicted;
     [off.translation, turn_of(off.rotation)]
 }
 

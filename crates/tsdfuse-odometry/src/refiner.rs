@@ -9,7 +9,7 @@ use tsdfuse::{Pose, Scan};
 
 use crate::cells::Cells;
 use crate::motion::{Motion, Twist, turn_of};
-use crate::register::{Prediction, register, six};
+use crate::register::{Prior, register, six};
 use crate::sample::{Sampled, Sampling};
 use crate::systematic::{Calibrate, ErrorSums};
 use crate::tracker::{LEAST_RETURNS, OdometryConfig, Quality};
@@ -200,7 +200,7 @@ impl Refiner {
             self.cells.remove(&sampled.seen(&given), driven);
             let (shift, turn) = GIVEN;
             let sigmas = [shift, shift, shift, turn, turn, turn];
-            let prediction = Prediction {
+            let prior = Prior {
                 motion: given.clone(),
                 begin: Matrix6::from_diagonal(&sigmas.map(|sigma: f64| sigma.powi(-2)).into()),
                 step_sigma: GIVEN_STEP,
@@ -209,7 +209,7 @@ impl Refiner {
                 along: None,
                 reach: self.reach_m,
             };
-            let registered = register(&self.cells, &sampled.sparse, &sampled.dense, &prediction);
+            let registered = register(&self.cells, &sampled.sparse, &sampled.dense, &prior);
             quality = Quality::of(&registered);
             if !quality.is_unmatched() {
                 motion = registered.motion;

@@ -32,7 +32,7 @@ const MOST_PASSES: usize = 14;
 
 /// What is known of a sweep's motion before its returns are looked at.
 #[derive(Clone, Debug)]
-pub(crate) struct Prediction {
+pub(crate) struct Prior {
     pub(crate) motion: Motion,
     /// Information about the first pose (shift, turn), about its own position.
     pub(crate) begin: Matrix6<f64>,
@@ -48,7 +48,7 @@ pub(crate) struct Prediction {
     pub(crate) reach: f64,
 }
 
-impl Prediction {
+impl Prior {
     /// How sure the motion is along a direction.
     fn drift(&self, direction: DVec3) -> Drift {
         self.along.unwrap_or_else(|| {
@@ -66,7 +66,7 @@ impl Prediction {
 #[derive(Clone, Debug)]
 pub(crate) struct Registered {
     pub(crate) motion: Motion,
-    /// Information about the last pose (shift, turn), about its own position, of returns and prediction.
+    /// Information about the last pose (shift, turn), about its own position, of returns and prior.
     pub(crate) end: Matrix6<f64>,
     /// Information of the returns alone about a rigid motion of the sweep, about `centre`.
     pub(crate) rigid: Matrix6<f64>,
@@ -270,16 +270,16 @@ fn step_error(from: &Pose, to: &Pose, predicted: &Pose, centre: DVec3) -> (Vecto
 /// The motion that brings the returns onto the cells' planes.
 ///
 /// Where `returns` tell little about a direction, all of `dense` are asked where they lie along it.
-pub(crate) fn register(cells: &Cells, returns: &[Return], dense: &[Return], prediction: &Prediction) -> Registered {
+pub(crate) fn register(cells: &Cells, returns: &[Return], dense: &[Return], prior: &Prior) -> Registered {
     let mut found = vec![Found::default(); returns.len()];
     let mut weak: Option<(DVec3, Sought)> = None;
     // Where the last sweeps let the sensor be expected.
-    let mut expected = prediction.motion.clone();
+    let mut expected = prior.motion.clone();
     let mut motion = expected.clone();
     let knots = if motion.poses.len() > 1 { KNOTS } else { 1 };
     let centre = expected.first().translation;
     let size = 6 * knots;
-    let mut width = prediction.reach;
+    let mut width = prior.reach;
     let mut passes = 0;
     loop {
         // A part of the returns leads near to where all of them lead.
@@ -339,12 +339,12 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], dense: &[Return], pred
             first.translation - begin.translation,
             turn_of(first.rotation * begin.rotation.conjugate()),
         );
-        add(&mut h, 0, 0, &prediction.begin);
-        add_side(&mut g, 0, &(prediction.begin * off));
+        add(&mut h, 0, 0, &prior.begin);
+        add_side(&mut g, 0, &(prior.begin * off));
         // The motion as predicted.
         let (shift_sigma, turn_sigma) = match weak {
-            Some(_) => prediction.most,
-            None => prediction.step_sigma,
+            Some(_) => prior.most,
+            None => prior.step_sigma,
         };
         let (per_shift, per_turn) = (shift_sigma.powi(-2), turn_sigma.powi(-2));
         let information = Matrix6::from_diagonal(&Vector6::new(
@@ -397,10 +397,10 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], dense: &[Return], pred
         if passes == 2
             && let Some(direction) = weak_direction(cells, returns, &motion)
         {
-            let drift = prediction.drift(direction);
+            let drift = prior.drift(direction);
             // What errors of normals have moved along it so far does not count.
             motion = motion.as_along(&expected, direction);
-            let sought = sought_along(cells, dense, &motion, direction, drift, prediction.is_followed);
+            let sought = sought_along(cells, dense, &motion, direction, drift, prior.is_followed);
             expected = expected.shifted(direction, sought.shift);
             motion = motion.shifted(direction, sought.shift);
             weak = Some((direction, sought));

@@ -6,7 +6,7 @@ use tsdfuse::Pose;
 
 use crate::cells::{Cells, Seen, elevation_bit};
 use crate::motion::Motion;
-use crate::register::{COARSE, Prediction, recentred, register};
+use crate::register::{COARSE, Prior, recentred, register};
 use crate::returns::Return;
 use crate::tracker::{OdometryConfig, Quality};
 
@@ -93,7 +93,7 @@ impl Surfaces {
             .collect();
         let (shift, turn) = LOOSE;
         let sigmas = [shift, shift, shift, turn, turn, turn];
-        let prediction = Prediction {
+        let prior = Prior {
             motion: Motion::still(*rough),
             begin: Matrix6::from_diagonal(&sigmas.map(|sigma: f64| sigma.powi(-2)).into()),
             step_sigma: LOOSE,
@@ -102,7 +102,7 @@ impl Surfaces {
             along: None,
             reach: reach_m,
         };
-        let registered = register(&self.0, &returns, &returns, &prediction);
+        let registered = register(&self.0, &returns, &returns, &prior);
         let pose = registered.motion.last();
         let to_pose = recentred(rough.translation, pose.translation);
         Fit {

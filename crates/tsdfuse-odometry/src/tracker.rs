@@ -10,10 +10,10 @@ use tsdfuse::{ImuSample, Pose, Scan};
 
 use crate::along::Drift;
 use crate::cells::{Cells, Seen};
-use crate::imu::{End, Foretold, ForetoldBy, ImuReport, Inertial};
+use crate::imu::{End, ImuReport, Inertial, PredictedBy, Prediction};
 use crate::locate::{Search, locate};
 use crate::motion::{Motion, STEPS, repeated, turn_of};
-use crate::register::{Prediction, Registered, register};
+use crate::register::{Prior, Registered, register};
 use crate::sample::{Sampled, Sampling};
 use crate::systematic::Calibrate;
 
@@ -27,7 +27,7 @@ const MOST_POINTS: f64 = 4000.0;
 const FIRST_VELOCITY: f64 = 1.0;
 
 /// Errors of accelerations and of changes of the rate of turn that are predicted from an inertial measurement unit, m/s² and rad/s².
-const FORETOLD: (f64, f64) = (1.0, 0.3);
+const IMU_SIGMAS: (f64, f64) = (1.0, 0.3);
 
 /// With an inertial measurement unit the first scans wait so long, seconds: meanwhile gravity becomes known.
 const LEVELLED_AFTER: f64 = 3.0;
@@ -327,15 +327,15 @@ impl Tracker {
             Some(last) => {
                 let secs = sampled.span.1 - sampled.span.0;
                 let gap = self.gap(last, &scan, sampled);
-                let foretold = self.foretold(last, gap, secs, scan.time_ns.is_some());
-                let used = self.imu.choose(foretold.each_ref().map(Option::as_ref));
-                let [steady, turned, forced] = foretold;
+                let predictions = self.predict(last, gap, secs, scan.time_ns.is_some());
+                let used = self.imu.choose(predictions.each_ref().map(Option::as_ref));
+                let [steady, turned, forced] = predictions;
                 let used = match used {
-                    ForetoldBy::Motion => steady,
-                    ForetoldBy::Gyroscope => turned,
-                    ForetoldBy::Imu => forced,
+                    PredictedBy::Motion => steady,
+                    PredictedBy::Gyroscope => turned,
+                    PredictedBy::Imu => forced,
                 };
-                used.map_or_else(|| Motion::still(last.motion.last()), |foretold| foretold.motion)
+                used.map_or_else(|| Motion::still(last.motion.last()), |predicted| predicted.motion)
             }
             None if self.elsewhere.as_ref().is_some_and(|elsewhere| elsewhere.is_needed) => return self.leave(scan),
             None => Motion::still(self.start),
@@ -352,16 +352,16 @@ impl Tracker {
     }
 
     /// How the next sweep is predicted: by the motion before, by turns of the gyroscope, by all that the unit measures.
-    fn foretold(&self, last: &Last, gap: f64, secs: f64, is_timed: bool) -> [Option<Foretold>; 3] {
+    fn predict(&self, last: &Last, gap: f64, secs: f64, is_timed: bool) -> [Option<Prediction>; 3] {
         let begin = last.motion.last() * repeated(&last.velocity, gap);
         let motion = moving(begin, &last.velocity, secs);
         let velocity = motion.last().rotation * last.velocity.translation;
         let by_imu = |is_forced| {
             is_timed
-                .then(|| self.imu.foretell(&last.end(), gap, secs, is_forced))
+                .then(|| self.imu.predict(&last.end(), gap, secs, is_forced))
                 .flatten()
         };
-        [Some(Foretold { motion, velocity }), by_imu(false), by_imu(true)]
+        [Some(Prediction { motion, velocity }), by_imu(false), by_imu(true)]
     }
 
     /// The next scan that is placed.
@@ -491,7 +491,7 @@ impl Tracker {
                 &self.cells,
                 &second.1.sparse,
                 &second.1.dense,
-                &Prediction {
+                &Prior {
                     motion: moving(begin, &velocity, span(&second.1)),
                     begin: loose,
                     step_sigma: (
@@ -543,8 +543,8 @@ impl Tracker {
         let secs = sampled.span.1 - sampled.span.0;
         let begin_at = scan.time_ns.map(|t| secs_between(0, t) + sampled.span.0);
         let gap = self.gap(&last, &scan, &sampled);
-        let foretold = self.foretold(&last, gap, secs, begin_at.is_some());
-        let ways = foretold.each_ref().map(Option::as_ref);
+        let predictions = self.predict(&last, gap, secs, begin_at.is_some());
+        let ways = predictions.each_ref().map(Option::as_ref);
         let used = self.imu.choose(ways);
         let [Some(steady), ..] = ways else { return };
         // From rest to rest of the sweeps' begins.
@@ -552,18 +552,18 @@ impl Tracker {
         // Without times any distance may lie between two scans.
         let usual = 0.5 * step * step * if begin_at.is_some() { 1.0 } else { 10.0 };
         let slack = if gap > 0.02 * step { (gap / step).min(1.0) } else { 0.02 };
-        let prediction = |foretold: &Foretold, used: ForetoldBy| {
+        let prior_of = |predicted: &Prediction, used: PredictedBy| {
             let unforeseen = (self.config.acceleration, self.config.turn_acceleration);
             // Changes of the velocity and of the rate of turn, and how far a sweep is off at most at least.
             let (by_shift, by_turn, least) = match used {
-                ForetoldBy::Motion => (unforeseen.0, unforeseen.1, (0.02, 0.004)),
-                ForetoldBy::Gyroscope => (unforeseen.0, FORETOLD.1, (0.02, 0.001)),
-                ForetoldBy::Imu => (FORETOLD.0, FORETOLD.1, (0.003, 0.001)),
+                PredictedBy::Motion => (unforeseen.0, unforeseen.1, (0.02, 0.004)),
+                PredictedBy::Gyroscope => (unforeseen.0, IMU_SIGMAS.1, (0.02, 0.001)),
+                PredictedBy::Imu => (IMU_SIGMAS.0, IMU_SIGMAS.1, (0.003, 0.001)),
             };
             let own = (by_shift * usual, by_turn * usual);
             let most = (own.0.max(least.0), own.1.max(least.1));
-            Prediction {
-                motion: foretold.motion.clone(),
+            Prior {
+                motion: predicted.motion.clone(),
                 begin: spread(last.information, (0.002 + slack * own.0, 0.0005 + slack * own.1)),
                 step_sigma: (
                     (2.0 * last.innovation.0).clamp(0.1 * own.0, most.0),
@@ -575,28 +575,28 @@ impl Tracker {
                 reach: (4.0 * last.innovation.0 + 20.0 * last.innovation.1).clamp(0.05, 1.0),
             }
         };
-        let mut foretold_by = ways[used as usize].unwrap_or(steady);
-        let mut predicted = prediction(foretold_by, used);
-        let mut registered = register(&self.cells, &sampled.sparse, &sampled.dense, &predicted);
+        let mut predicted = ways[used as usize].unwrap_or(steady);
+        let mut prior = prior_of(predicted, used);
+        let mut registered = register(&self.cells, &sampled.sparse, &sampled.dense, &prior);
         if registered.matched < 0.5 * registered.covered {
             // The unit may be wrong, too.
-            let wide = Prediction {
+            let wide = Prior {
                 reach: 2.0,
-                ..prediction(steady, ForetoldBy::Motion)
+                ..prior_of(steady, PredictedBy::Motion)
             };
             let again = register(&self.cells, &sampled.sparse, &sampled.dense, &wide);
             if again.matched > registered.matched {
-                (registered, predicted, foretold_by) = (again, wide, steady);
+                (registered, prior, predicted) = (again, wide, steady);
             }
         }
         let (least, covered) = LOST;
         if registered.matched < least * registered.covered || registered.covered < covered {
-            let begin = predicted.motion.first();
+            let begin = prior.motion.first();
             return self.lose(scan, sampled, begin);
         }
         let sampled = &sampled;
         let motion = registered.motion.clone();
-        let off = predicted.motion.last().inverse() * motion.last();
+        let off = prior.motion.last().inverse() * motion.last();
         let innovation = (off.translation.length(), turn_of(off.rotation).length());
         let calm = |old: f64, new: f64| {
             if new > old {
@@ -613,11 +613,14 @@ impl Tracker {
         };
         // What registration moved, it moved faster than was predicted.
         let half = if secs > 0.0 { 0.5 * secs } else { gap.max(1e-3) };
-        let moved_by = |motion: &Motion| match secs > 0.0 {
-            true => motion.last().translation - motion.knot(1, 3).translation,
-            false => motion.last().translation,
+        let moved_by = |motion: &Motion| {
+            if secs > 0.0 {
+                motion.last().translation - motion.knot(1, 3).translation
+            } else {
+                motion.last().translation
+            }
         };
-        let world_velocity = foretold_by.velocity + (moved_by(&motion) - moved_by(&foretold_by.motion)) / half;
+        let world_velocity = predicted.velocity + (moved_by(&motion) - moved_by(&predicted.motion)) / half;
         let end = End {
             secs: begin_at.unwrap_or(last.end + gap) + secs,
             pose: motion.last(),

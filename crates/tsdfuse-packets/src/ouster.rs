@@ -229,9 +229,10 @@ impl Ouster {
     fn column(&self, payload: &[u8], column: usize) -> Option<(usize, i64)> {
         let places = self.places();
         let at = places.header + column * places.column;
-        let is_valid = match self.profile.is_legacy {
-            true => u32_at(payload, at + places.column - 4) == u32::MAX,
-            false => u8_at(payload, at + 10) & 1 != 0,
+        let is_valid = if self.profile.is_legacy {
+            u32_at(payload, at + places.column - 4) == u32::MAX
+        } else {
+            u8_at(payload, at + 10) & 1 != 0
         };
         let id = usize::from(u16_at(payload, at + 8));
         let time_ns = i64::try_from(u64_at(payload, at)).ok()?;

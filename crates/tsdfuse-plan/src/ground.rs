@@ -116,9 +116,12 @@ impl GroundGrid {
         };
         let slope = layer(&|at| planes[at].0);
         let roughness = layer(&|at| planes[at].1);
-        let step = layer(&|at| match top.values[at].is_nan() {
-            true => f32::NAN,
-            false => (highest[at] - lowest[at]).max(0.0),
+        let step = layer(&|at| {
+            if top.values[at].is_nan() {
+                f32::NAN
+            } else {
+                (highest[at] - lowest[at]).max(0.0)
+            }
         });
         let limits = [
             config.max_slope_deg.to_radians(),
@@ -128,9 +131,10 @@ impl GroundGrid {
         let traversability = layer(&|at| {
             let values = [&slope, &step, &roughness].map(|layer| f64::from(layer.values[at]));
             let shares = [0, 1, 2].map(|i| values[i] / limits[i]);
-            match shares.iter().any(|share| *share > 1.0) {
-                true => 0.0,
-                false => (1.0 - shares.iter().sum::<f64>() / 3.0) as f32,
+            if shares.iter().any(|share| *share > 1.0) {
+                0.0
+            } else {
+                (1.0 - shares.iter().sum::<f64>() / 3.0) as f32
             }
         });
         Ok(Self {

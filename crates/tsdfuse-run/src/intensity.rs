@@ -219,9 +219,10 @@ impl RangeResponse {
                     .map(|k| matrix[row * KNOTS + k] * matrix[column * KNOTS + k])
                     .sum();
                 let rest = matrix[row * KNOTS + column] - dot;
-                matrix[row * KNOTS + column] = match row == column {
-                    true => rest.max(1e-12).sqrt(),
-                    false => rest / matrix[column * KNOTS + column],
+                matrix[row * KNOTS + column] = if row == column {
+                    rest.max(1e-12).sqrt()
+                } else {
+                    rest / matrix[column * KNOTS + column]
                 };
             }
             let dot: f64 = (0..row).map(|k| matrix[row * KNOTS + k] * logs[k]).sum();

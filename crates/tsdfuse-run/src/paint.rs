@@ -103,9 +103,12 @@ pub fn paint(mesh: &Mesh, voxel_size_m: f64, log: &Log, observer: &mut dyn Obser
             }
         });
     }
-    let color = |(light, weight): &(Vec3, f32)| match *weight > 0.0 {
-        true => (*light / *weight).to_array().map(srgb),
-        false => UNSEEN,
+    let color = |(light, weight): &(Vec3, f32)| {
+        if *weight > 0.0 {
+            (*light / *weight).to_array().map(srgb)
+        } else {
+            UNSEEN
+        }
     };
     Ok(Painted {
         seen: sums.iter().filter(|(_, weight)| *weight > 0.0).count(),
@@ -306,16 +309,18 @@ fn luminance([r, g, b]: [f32; 3]) -> f32 {
 /// Linear light, 0 to 1, of an sRGB value of 255 (IEC 61966-2-1).
 pub(crate) fn linear(srgb: f32) -> f32 {
     let value = srgb / 255.0;
-    match value <= 0.040_45 {
-        true => value / 12.92,
-        false => ((value + 0.055) / 1.055).powf(2.4),
+    if value <= 0.040_45 {
+        value / 12.92
+    } else {
+        ((value + 0.055) / 1.055).powf(2.4)
     }
 }
 
 pub(crate) fn srgb(light: f32) -> u8 {
-    let value = match light <= 0.003_130_8 {
-        true => 12.92 * light,
-        false => 1.055 * light.powf(1.0 / 2.4) - 0.055,
+    let value = if light <= 0.003_130_8 {
+        12.92 * light
+    } else {
+        1.055 * light.powf(1.0 / 2.4) - 0.055
     };
     (255.0 * value + 0.5) as u8
 }

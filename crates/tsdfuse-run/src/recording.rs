@@ -153,9 +153,10 @@ impl Recording {
             let place = block.div_euclid(IVec3::splat(MARKER_BLOCKS)).to_array();
             places.insert(place);
             let pieces = self.pieces.entry(place).or_default();
-            match piece.triangles.is_empty() {
-                true => drop(pieces.remove(&block.to_array())),
-                false => drop(pieces.insert(block.to_array(), corners(&piece))),
+            if piece.triangles.is_empty() {
+                pieces.remove(&block.to_array());
+            } else {
+                pieces.insert(block.to_array(), corners(&piece));
             }
         }
         places.into_iter().map(|place| self.part(place)).collect()

@@ -151,9 +151,10 @@ pub fn write_painted(mesh: &Mesh, painting: &Painting, path: &Path, scene: &Scen
     } else {
         let greys = || painting.intensities.as_deref().map(intensity::greys);
         let colors = colors.map(<[_]>::to_vec).or_else(greys).unwrap_or_default();
-        match colors.is_empty() {
-            true => tsdfuse_io::mesh::write(path, mesh)?,
-            false => tsdfuse_io::mesh::write_colored(path, mesh, &colors)?,
+        if colors.is_empty() {
+            tsdfuse_io::mesh::write(path, mesh)?;
+        } else {
+            tsdfuse_io::mesh::write_colored(path, mesh, &colors)?;
         }
     }
     let color = |painted: &Painted| ColorReport {
@@ -285,9 +286,10 @@ mod tiles {
 
     pub(super) fn write(path: &Path, surface: &mut Surface<'_>, layers: &Layers) -> Result<MeshReport> {
         let start = Instant::now();
-        let written = match layers.is_empty() {
-            true => tsdfuse_tiles::write(path, surface)?,
-            false => tsdfuse_tiles::write_colored(path, surface, &layers.vertex_coloring())?,
+        let written = if layers.is_empty() {
+            tsdfuse_tiles::write(path, surface)?
+        } else {
+            tsdfuse_tiles::write_colored(path, surface, &layers.vertex_coloring())?
         };
         Ok(MeshReport {
             path: path.to_owned(),

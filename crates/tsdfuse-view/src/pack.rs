@@ -91,9 +91,10 @@ fn differences(values: impl Iterator<Item = u8>) -> impl Iterator<Item = u8> {
 pub fn octahedral(normal: Vec3) -> [u8; 2] {
     let on = normal / normal.abs().element_sum().max(f32::MIN_POSITIVE);
     let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
-    let [u, v] = match on.z < 0.0 {
-        true => [(1.0 - on.y.abs()) * sign(on.x), (1.0 - on.x.abs()) * sign(on.y)],
-        false => [on.x, on.y],
+    let [u, v] = if on.z < 0.0 {
+        [(1.0 - on.y.abs()) * sign(on.x), (1.0 - on.x.abs()) * sign(on.y)]
+    } else {
+        [on.x, on.y]
     };
     [u, v].map(|x| (x * 127.0 + 127.5) as u8)
 }

@@ -58,9 +58,10 @@ impl Args {
         } else {
             fill(&mut esdf, &mut Surface::new(&map_file::read(&self.map)?, &mesh))?;
         }
-        let voxels = match self.dense {
-            true => write_dense(&self.output, &esdf)?,
-            false => write(&self.output, &esdf)?,
+        let voxels = if self.dense {
+            write_dense(&self.output, &esdf)?
+        } else {
+            write(&self.output, &esdf)?
         };
         drop(spinner);
         say(format_args!("  voxels   {}", HumanCount(voxels as u64)));

@@ -195,7 +195,7 @@ fn without_truth_the_points_of_the_scans_are_the_reference() {
 }
 
 #[test]
-fn tuning_prefers_what_foretells_held_out_scans() {
+fn tuning_prefers_what_predicts_held_out_scans() {
     let folder = Folder::new();
     let set = sphere(&folder);
     // Hardly a sphere any more.

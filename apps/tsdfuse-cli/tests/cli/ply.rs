@@ -29,9 +29,12 @@ pub(crate) fn parse(bytes: &[u8]) -> (Vec<DVec3>, usize) {
         })
         .sum();
     assert_eq!(body.len(), vertices * stride + faces * 13, "{header}");
-    let coordinate = |bytes: &[u8], i: usize| match double {
-        true => f64::from_le_bytes(bytes[8 * i..8 * i + 8].try_into().unwrap()),
-        false => f64::from(f32::from_le_bytes(bytes[4 * i..4 * i + 4].try_into().unwrap())),
+    let coordinate = |bytes: &[u8], i: usize| {
+        if double {
+            f64::from_le_bytes(bytes[8 * i..8 * i + 8].try_into().unwrap())
+        } else {
+            f64::from(f32::from_le_bytes(bytes[4 * i..4 * i + 4].try_into().unwrap()))
+        }
     };
     let vertex = |bytes: &[u8]| DVec3::from([0, 1, 2].map(|i| coordinate(bytes, i)));
     (body[..vertices * stride].chunks(stride).map(vertex).collect(), faces)

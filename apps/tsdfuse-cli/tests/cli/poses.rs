@@ -127,7 +127,7 @@ fn maps_and_stores_know_where_their_scans_were() {
 }
 
 #[test]
-fn rough_poses_and_a_sensor_that_is_off_are_mended_and_foretell_more() {
+fn rough_poses_and_a_sensor_that_is_off_are_mended_and_predict_more() {
     let folder = Folder::new();
     let set = folder.simulate("street", "street", "vlp16", 24, &["--path", "vehicle"]);
     let rough = |(i, line): (usize, &str)| {

@@ -10,9 +10,10 @@ use crate::run::{Folder, names, tsdfuse};
 fn files(folder: &Path) -> Vec<PathBuf> {
     let mut all = Vec::new();
     for name in names(folder) {
-        match folder.join(&name).is_dir() {
-            true => all.extend(files(&folder.join(&name)).into_iter().map(|f| Path::new(&name).join(f))),
-            false => all.push(name.into()),
+        if folder.join(&name).is_dir() {
+            all.extend(files(&folder.join(&name)).into_iter().map(|f| Path::new(&name).join(f)));
+        } else {
+            all.push(name.into());
         }
     }
     all

@@ -38,7 +38,7 @@ fn held_out(map: &VoxelMap, scan: &Scan) -> HeldOut {
 }
 
 #[test]
-fn a_plane_is_foretold_up_to_the_noise_of_its_ranges() {
+fn a_plane_is_predicted_up_to_the_noise_of_its_ranges() {
     let sigma_m = 0.02;
     let plane = scene::by_name("plane", 0).unwrap();
     let poses = path::by_name("orbit", &plane, 20).unwrap();

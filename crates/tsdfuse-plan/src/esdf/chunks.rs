@@ -124,9 +124,10 @@ impl Change {
                 .chain(&self.new)
                 .map(of)
                 .fold((i32::MAX, i32::MIN), |(low, high), at| (low.min(at), high.max(at)));
-            match low <= high {
-                true => (low - reach).div_euclid(edge)..=(high + reach).div_euclid(edge),
-                false => RangeInclusive::new(1, 0),
+            if low <= high {
+                (low - reach).div_euclid(edge)..=(high + reach).div_euclid(edge)
+            } else {
+                RangeInclusive::new(1, 0)
             }
         };
         let (cells, steps) = (CHUNK * CELLS, CHUNK * lattice.steps);
@@ -168,9 +169,10 @@ impl Chunks {
                     by_chunk.entry(chunk.to_array()).or_default()[which].push(site);
                 }
             }
-            match change.sites.is_empty() {
-                true => self.blocks.remove(&change.block),
-                false => self.blocks.insert(change.block, change.sites),
+            if change.sites.is_empty() {
+                self.blocks.remove(&change.block)
+            } else {
+                self.blocks.insert(change.block, change.sites)
             };
         }
         for (chunk, [gone, new]) in by_chunk {

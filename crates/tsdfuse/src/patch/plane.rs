@@ -41,7 +41,7 @@ impl Moments {
         &self.count
     }
 
-    /// Puts in sums; `near` is where means are told from.
+    /// Puts in the sums; the mean is stored relative to `near`.
     #[inline(always)]
     pub(super) fn set(&mut self, lane: usize, sums: &Sums, near: Vec3) {
         let inverse = 1.0 / sums[0].max(1.0);

@@ -103,9 +103,10 @@ fn light(hit: &Hit) -> f32 {
 /// What a ray sees that meets nothing.
 fn background(direction: DVec3) -> Vec3 {
     let up = direction.normalize_or_zero().z as f32;
-    match up >= 0.0 {
-        true => HORIZON.lerp(SKY, (2.2 * up).min(1.0)),
-        false => HORIZON.lerp(GROUND, (-5.0 * up).min(1.0)),
+    if up >= 0.0 {
+        HORIZON.lerp(SKY, (2.2 * up).min(1.0))
+    } else {
+        HORIZON.lerp(GROUND, (-5.0 * up).min(1.0))
     }
 }
 
