@@ -563,7 +563,7 @@ impl Map {
     #[getter]
     fn poses(&self, py: Python<'_>) -> Trajectory {
         let poses = py.detach(|| self.read().poses.clone());
-        Trajectory::of(poses.into_iter().map(|fused| (fused.time_ns, fused.pose)).collect())
+        Trajectory::of_scans(poses)
     }
 
     fn __richcmp__(&self, py: Python<'_>, other: &Self, op: CompareOp) -> PyResult<bool> {

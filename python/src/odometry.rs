@@ -58,10 +58,9 @@ pub(crate) fn track(
         Ok((tracked.scans, report))
     })?;
     let quality = serde_json::to_string(&serde_json::json!({ "report": report, "scans": tracked })).map_err(wrong)?;
-    let poses = tracked.iter().map(|scan| (scan.pose.time_ns, scan.pose.pose)).collect();
     Ok(Trajectory {
-        poses,
         quality: Some(quality),
+        ..Trajectory::of_scans(tracked.iter().map(|scan| scan.pose))
     })
 }
 

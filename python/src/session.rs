@@ -193,9 +193,7 @@ impl Session {
     #[getter]
     fn poses(&self, py: Python<'_>) -> PyResult<Trajectory> {
         let poses = self.with(py, |running| Ok(running.session.poses().to_vec()))?;
-        Ok(Trajectory::of(
-            poses.into_iter().map(|fused| (fused.time_ns, fused.pose)).collect(),
-        ))
+        Ok(Trajectory::of_scans(poses))
     }
 
     /// What was done, as plain data.

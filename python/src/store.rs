@@ -80,7 +80,7 @@ impl Store {
     #[getter]
     fn poses(&self, py: Python<'_>) -> Trajectory {
         let poses = py.detach(|| self.lock().poses().to_vec());
-        Trajectory::of(poses.into_iter().map(|fused| (fused.time_ns, fused.pose)).collect())
+        Trajectory::of_scans(poses)
     }
 
     #[getter]

@@ -16,13 +16,28 @@ use crate::error::{OrRaise, wrong};
 #[derive(Clone, Default)]
 pub(crate) struct Trajectory {
     pub(crate) poses: Vec<(Option<i64>, Pose)>,
+    /// Whether these are surely a sensor's poses, not those of a body that carries it.
+    pub(crate) is_of_sensor: bool,
     /// Of each scan, where odometry placed it.
     pub(crate) quality: Option<String>,
 }
 
 impl Trajectory {
     pub(crate) fn of(poses: Vec<(Option<i64>, Pose)>) -> Self {
-        Self { poses, quality: None }
+        Self {
+            poses,
+            is_of_sensor: false,
+            quality: None,
+        }
+    }
+
+    /// Where a sensor was during scans.
+    pub(crate) fn of_scans(poses: impl IntoIterator<Item = FusedPose>) -> Self {
+        let poses = poses.into_iter().map(|fused| (fused.time_ns, fused.pose));
+        Self {
+            is_of_sensor: true,
+            ..Self::of(poses.collect())
+        }
     }
 }
 
@@ -46,23 +61,27 @@ impl Trajectory {
     #[staticmethod]
     fn read(path: PathBuf) -> PyResult<Self> {
         let poses = poses::read(&path).or_raise()?;
-        Ok(Self::of(match &poses {
+        let read = Self::of(match &poses {
             Poses::Listed(poses) => poses.iter().map(|pose| (None, *pose)).collect(),
             Poses::Timed(trajectory) => {
                 let times = trajectory.times_ns().iter().map(|&time| Some(time));
                 times.zip(trajectory.poses().iter().copied()).collect()
             }
-        }))
+        });
+        Ok(Self {
+            is_of_sensor: poses::is_of_sensor(&path),
+            ..read
+        })
     }
 
     /// Writes the poses: as TUM where all have times that ascend, else as KITTI.
     fn write(&self, path: PathBuf) -> PyResult<()> {
-        let fused: Vec<_> = self
-            .poses
-            .iter()
-            .map(|&(time_ns, pose)| FusedPose { time_ns, pose })
-            .collect();
-        tsdfuse_run::write_poses(&path, &fused).or_raise()
+        let write = if self.is_of_sensor {
+            poses::write_of_sensor
+        } else {
+            poses::write
+        };
+        write(path, &Poses::of(self.poses.iter().copied())).or_raise()
     }
 
     /// Nanoseconds (N,); `None` if a pose has no time.

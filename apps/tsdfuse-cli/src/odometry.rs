@@ -21,7 +21,7 @@ Examples:
   tsdfuse odometry drive -o drive.tum --json
   tsdfuse fuse drive --poses drive.tum -o drive.ply
 
-The world is the sensor's frame at its first scan; where the log has an IMU, it is levelled. A pose belongs to the time of its scan.";
+The world is the sensor's frame at its first scan; where the log has an IMU, it is levelled. A pose is that of the sensor at the time of its scan; the file says so, and --poses moves it by no extrinsics.";
 
 /// Find the poses of a log's scans by LiDAR odometry.
 #[derive(Debug, clap::Args)]

@@ -160,7 +160,12 @@ impl Convert {
             Poses::Timed(_) => ("TUM", poses.poses().len()),
             Poses::Listed(_) => ("KITTI", poses.poses().len()),
         };
-        poses::write(&self.output, &poses)?;
+        let write = if poses::is_of_sensor(&self.input) {
+            poses::write_of_sensor
+        } else {
+            poses::write
+        };
+        write(&self.output, &poses)?;
         say(format_args!("  poses    {count}, {kind}"));
         say(format_args!("  wrote    {}", self.output.display()));
         Ok(Outcome::Complete)

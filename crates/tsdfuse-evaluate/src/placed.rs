@@ -1,6 +1,6 @@
 //! A log with poses of each kind that is asked for.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use tsdfuse::Pose;
 use tsdfuse_io::map_file::FusedPose;
@@ -71,15 +71,9 @@ fn noisy(
     });
     let path = folder.join(format!("{}-noisy.poses", kind.name()));
     write_poses(&path, &poses.collect::<Result<Vec<_>>>()?)?;
-    of_sensor(&mut input, path);
+    input.options.poses = Some(path);
     input.open(&contest.settings, &mut |_: Event<'_>| {})?;
     Ok(input)
-}
-
-/// Gives scans the poses of a file, which are those of the sensor and not of a body that carries it.
-fn of_sensor(input: &mut Input, poses: PathBuf) {
-    input.options.poses = Some(poses);
-    input.options.extrinsics = Some(Pose::IDENTITY);
 }
 
 /// The log with refined or tracked poses, those of scans that are held out included.
@@ -119,15 +113,10 @@ fn found(kind: ScanPoses, contest: &Contest, folder: &Path, watch: &mut Watch<'_
     let path = folder.join(format!("{}.poses", kind.name()));
     write_poses(&path, &poses.collect::<Vec<_>>())?;
     let mut input = contest.input.clone();
-    of_sensor(&mut input, path);
+    input.options.poses = Some(path);
     let mut settings = contest.settings.clone();
-    let is_late = log.sensors().iter().any(|sensor| sensor.time_offset_s.is_some());
-    if (correction.is_some() || is_late)
-        && let Some(mut sensor) = log.sensors().first().cloned()
-    {
-        // The poses have the scans' own times.
-        (sensor.body_from_sensor, sensor.time_offset_s) = (Pose::IDENTITY, Some(0.0));
-        sensor.correction = sensor.correction.plus(&correction.unwrap_or_default());
+    if let (Some(correction), Some(mut sensor)) = (correction, log.sensors().first().cloned()) {
+        sensor.correction = sensor.correction.plus(&correction);
         let path = folder.join(format!("{}.toml", kind.name()));
         sensor_file::write(&path, &sensor).map_err(RunError::from)?;
         input.options.sensor_file = Some(path);

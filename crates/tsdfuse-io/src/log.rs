@@ -4,11 +4,12 @@ use std::path::Path;
 use std::sync::{Arc, PoisonError};
 
 use tsdfuse::sensor::SensorCorrection;
-use tsdfuse::{Scan, SensorModel, Trajectory};
+use tsdfuse::{Pose, Scan, SensorModel, Trajectory};
 
 use crate::corrected::{self, Corrected};
 use crate::error::{Error, Result};
 use crate::pandaset::PandaSet;
+use crate::poses;
 use crate::read_ahead::{Live, ReadAhead, Scans};
 use crate::selection::Selection;
 use crate::sensor_file;
@@ -129,8 +130,14 @@ pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
         .map(sensor_file::read)
         .transpose()?
         .unwrap_or_default();
+    // What is known of the body does not matter for the sensor's own poses.
+    let is_placed = options.poses.as_deref().is_some_and(poses::is_of_sensor);
     let options = OpenOptions {
-        extrinsics: options.extrinsics.or(told.body_from_sensor),
+        extrinsics: if is_placed {
+            Some(Pose::IDENTITY)
+        } else {
+            options.extrinsics.or(told.body_from_sensor)
+        },
         ..options.clone()
     };
     let mut log = open_as_told(path, &options)?;
@@ -140,7 +147,7 @@ pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
         log = log.with_model(&model);
     }
     let of_log = log.sensors().first().and_then(|sensor| sensor.time_offset_s);
-    if let Some(secs) = told.time_offset_s.or(of_log).filter(|secs| *secs != 0.0) {
+    if let Some(secs) = told.time_offset_s.or(of_log).filter(|secs| *secs != 0.0 && !is_placed) {
         log = log.with_time_offset(secs)?;
     }
     match told.correction {

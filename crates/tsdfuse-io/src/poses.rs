@@ -29,7 +29,7 @@ mod geodesy;
 mod table;
 mod write;
 
-pub use write::{write, write_to};
+pub use write::{is_of_sensor, write, write_of_sensor, write_to};
 
 /// The pose at a time, interpolated; or why there is none.
 pub(crate) fn at(trajectory: &Trajectory, time_ns: i64) -> Result<Pose, String> {

@@ -24,7 +24,7 @@ pub struct OpenOptions {
     /// sensor that it does not name, this is the name of the sensor's model.
     pub sensors: Vec<String>,
     /// `body_from_sensor` of the only sensor: the poses are those of a body (vehicle, robot) that carries it. Replaces what the
-    /// log says.
+    /// log says. Not used for poses that [`write_of_sensor`](crate::poses::write_of_sensor) wrote.
     pub extrinsics: Option<Pose>,
     /// The calibration of the sensor whose packets are read (Velodyne's XML or YAML, Hesai's CSV, Ouster's metadata); without it,
     /// one is looked for beside the recording.

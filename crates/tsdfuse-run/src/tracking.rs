@@ -569,13 +569,13 @@ pub fn refine(
     })
 }
 
-/// Writes poses: as TUM where all have times that ascend, else as KITTI.
+/// Writes poses of the sensor ([`poses::write_of_sensor`]): as TUM where all have times that ascend, else as KITTI.
 ///
 /// # Errors
 /// If the file cannot be written.
 pub fn write_poses(path: &Path, poses: &[FusedPose]) -> Result<()> {
     let poses = poses.iter().map(|fused| (fused.time_ns, fused.pose));
-    Ok(poses::write(path, &Poses::of(poses))?)
+    Ok(poses::write_of_sensor(path, &Poses::of(poses))?)
 }
 
 /// Writes what is known of a log's first sensor, and what was found besides.

@@ -98,6 +98,7 @@ pub(crate) struct PoseFile {
 ///
 /// They are `world_from_sensor` (or `world_from_body`, where the sensor's extrinsics are told), unless a `calib.txt` with a
 /// `Tr` lies in the folder or beside the pose file: then they are the camera's, P, and `world_from_sensor = Tr⁻¹ · P · Tr`.
+/// Those of [`poses::write_of_sensor`] are `world_from_sensor` in any case.
 pub(crate) fn poses(root: &Path, options: &OpenOptions, elsewhere: &Path) -> Result<Option<PoseFile>> {
     let found = match &options.poses {
         Some(path) => Some(path.clone()),
@@ -109,7 +110,11 @@ pub(crate) fn poses(root: &Path, options: &OpenOptions, elsewhere: &Path) -> Res
     let Some(path) = found else { return Ok(None) };
     let mut poses = poses::read(&path)?;
     let beside = || calib::in_folder(path.parent().unwrap_or(Path::new("")));
-    let calibration = calib::in_folder(root)?.map_or_else(beside, |tr| Ok(Some(tr)))?;
+    let calibration = if poses::is_of_sensor(&path) {
+        None
+    } else {
+        calib::in_folder(root)?.map_or_else(beside, |tr| Ok(Some(tr)))?
+    };
     if let Some(camera_from_sensor) = calibration {
         let sensor_from_camera = camera_from_sensor.inverse();
         poses.map(|pose| sensor_from_camera * *pose * camera_from_sensor);

@@ -2,6 +2,7 @@ use std::path::Path;
 
 use tsdfuse::fuse::FuseConfig;
 use tsdfuse::glam::{DQuat, DVec3, Vec3};
+use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, SensorModel, VoxelMap};
 
 use super::*;
@@ -103,6 +104,55 @@ fn sensors_with_their_own_extrinsics_are_fused_together() {
     };
     let wrong = crate::open_with(rear.path(), &options).unwrap();
     assert!(off_wall(&Log::together(vec![open()[0].clone(), wrong]).unwrap()).0 > 0.05);
+}
+
+#[test]
+fn written_poses_of_the_sensor_are_not_moved_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let ahead = Pose {
+        rotation: DQuat::from_rotation_y(0.1),
+        translation: DVec3::new(1.5, 0.0, 0.5),
+    };
+    drive(folder.path(), &ahead, 0.1);
+    let told = folder.path().join("sensor.toml");
+    let text = std::fs::read_to_string(&told).unwrap() + "time_offset_s = 0.02\n";
+    std::fs::write(told, text).unwrap();
+    let log = crate::open(folder.path()).unwrap();
+    let poses = || log.scans().iter().map(|scan| (scan.time_ns, scan.pose.unwrap()));
+    std::fs::write(folder.path().join("calib.txt"), "Tr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n").unwrap();
+    assert!(poses().all(|(time_ns, pose)| pose != vehicle(secs_between(0, time_ns.unwrap())) * ahead));
+    for has_times in [true, false] {
+        let poses_only = poses::Poses::Listed(poses().map(|(_, pose)| pose).collect());
+        let written = if has_times {
+            poses::Poses::of(poses())
+        } else {
+            poses_only
+        };
+        let [own, body] = ["own.txt", "body.txt"].map(|name| folder.path().join(name));
+        poses::write_of_sensor(&own, &written).unwrap();
+        poses::write(&body, &written).unwrap();
+        assert!(poses::is_of_sensor(&own) && !poses::is_of_sensor(&body));
+        assert!(!poses::is_of_sensor(folder.path()) && !poses::is_of_sensor("nowhere"));
+        let off = |file: &Path, extrinsics: Option<Pose>| {
+            let options = OpenOptions {
+                poses: Some(file.to_owned()),
+                extrinsics,
+                ..Default::default()
+            };
+            let again = crate::open_with(folder.path(), &options).unwrap();
+            let off = again.scans().iter().zip(poses()).map(|(scan, (_, pose))| {
+                let off = scan.pose.unwrap().inverse() * pose;
+                off.translation.length() + off.rotation.to_scaled_axis().length()
+            });
+            off.fold(0.0, f64::max)
+        };
+        assert!(
+            off(&own, None) < 1e-9 && off(&own, Some(ahead)) < 1e-9,
+            "{}",
+            off(&own, None)
+        );
+        assert!(off(&body, None) > 1.0);
+    }
 }
 
 #[test]

@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 
 use tsdfuse::scan::PoseAt;
 use tsdfuse::trajectory::ns_after;
-use tsdfuse::{Scan, Trajectory};
+use tsdfuse::{Pose, Scan, Trajectory};
 
 use crate::error::{Error, Result};
 use crate::files::ScanFile;
@@ -75,7 +75,7 @@ impl PandaSet {
     pub fn open(dir: &Path, options: &OpenOptions) -> Result<Self> {
         let lidar = lidar_folder(dir).ok_or_else(|| Error::dataset(dir, "has no lidar/poses.json"))?;
         let lidars = lidars(dir, &options.sensors)?;
-        if options.extrinsics.is_some() {
+        if options.extrinsics.is_some_and(|pose| pose != Pose::IDENTITY) {
             return Err(Error::dataset(
                 dir,
                 "knows where its sensors sit on the vehicle: no extrinsics are wanted",

@@ -1,6 +1,7 @@
 //! Writes pose files that [`read`](super::read) reads.
 
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, Read, Write};
 use std::path::Path;
 
 use tsdfuse::Pose;
@@ -30,7 +31,29 @@ use crate::error::{Error, Result};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn write(path: impl AsRef<Path>, poses: &Poses) -> Result<()> {
-    let path = path.as_ref();
+    write_after(path.as_ref(), "", poses)
+}
+
+/// The first line of a file of poses of the sensor itself.
+const OF_SENSOR: &str = "# world_from_sensor: poses of the sensor, not of a body that carries it\n";
+
+/// As [`write`], for poses of a sensor, at times of its own clock, which a log may know to sit on a body: a first line, which other
+/// readers take for a comment, says so, and [`open_with`](crate::open_with) moves such poses by no extrinsics and no time offset.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_of_sensor(path: impl AsRef<Path>, poses: &Poses) -> Result<()> {
+    write_after(path.as_ref(), OF_SENSOR, poses)
+}
+
+/// Whether a file was written by [`write_of_sensor`]. What cannot be read was not.
+pub fn is_of_sensor(path: impl AsRef<Path>) -> bool {
+    let mut begin = [0; OF_SENSOR.len()];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut begin));
+    read.is_ok() && begin == *OF_SENSOR.as_bytes()
+}
+
+fn write_after(path: &Path, first_line: &str, poses: &Poses) -> Result<()> {
     let is_finite = |pose: &Pose| pose.rotation.is_finite() && pose.translation.is_finite();
     let all = match poses {
         Poses::Listed(poses) => poses.as_slice(),
@@ -40,7 +63,10 @@ pub fn write(path: impl AsRef<Path>, poses: &Poses) -> Result<()> {
         let reason = format!("pose {bad} holds a number that is not finite: it is not written");
         return Err(Error::format(path, reason));
     }
-    atomic::write(path, |out| write_to(out, poses))
+    atomic::write(path, |out| {
+        out.write_all(first_line.as_bytes())?;
+        write_to(out, poses)
+    })
 }
 
 /// Writes poses: those with times as TUM, the others as KITTI.

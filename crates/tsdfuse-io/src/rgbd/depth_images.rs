@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use tsdfuse::Scan;
 use tsdfuse::scan::Dropped;
 use tsdfuse::sensor::Pinhole;
+use tsdfuse::{Pose, Scan};
 
 use super::image::{self, ImageSize};
 use super::layout::{Frame, Image, Layout, beside_or_above};
@@ -48,7 +48,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<DepthImages> {
         let reason = format!("holds depth images: their camera is told by a camera.toml, not by the sensor {name:?}");
         return Err(Error::dataset(path, reason));
     }
-    if options.extrinsics.is_some() {
+    if options.extrinsics.is_some_and(|pose| pose != Pose::IDENTITY) {
         return Err(Error::dataset(
             path,
             "holds depth images, whose poses are the camera's own: no extrinsics are wanted",
