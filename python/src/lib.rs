@@ -19,7 +19,6 @@ mod plan;
 mod program;
 mod reach;
 mod render;
-mod saved;
 mod scan;
 mod sensor;
 mod session;

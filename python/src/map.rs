@@ -16,7 +16,7 @@ use tsdfuse::scan::{Dropped, RangeLimits};
 use tsdfuse::{Integration, Integrator, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::{self, FusedPose, Reader};
 use tsdfuse_run::report::MapReport;
-use tsdfuse_run::{Device, RunConfig, scene, surface};
+use tsdfuse_run::{Device, RunConfig, export, saved, scene, surface};
 
 use crate::arrays::{IntoRows, Rows, pose, triple};
 use crate::config::Config;
@@ -25,7 +25,6 @@ use crate::error::{OrRaise, exception, wrong};
 use crate::mesh::Mesh;
 use crate::piece::OwnPiece;
 use crate::reach::Reach;
-use crate::saved::{self, read_any};
 use crate::scan::{Columns, Scan};
 use crate::sensor;
 use crate::trajectory::Trajectory;
@@ -236,7 +235,7 @@ impl Map {
         sensor: Option<&Bound<'_, PyAny>>,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        let (map, poses) = py.detach(|| read_any(&path)).or_raise()?;
+        let (map, poses) = py.detach(|| saved::read(&path)).or_raise()?;
         let mut config = Config::layered(config, options)?;
         config.0.set_missing("the map", map.config()).or_raise()?;
         let asked = config.resolved()?.map;
@@ -476,9 +475,7 @@ impl Map {
                 content.poses.clone(),
             ))
         })?;
-        poses
-            .iter_mut()
-            .for_each(|fused| fused.pose = new_from_old * fused.pose);
+        saved::move_poses(&mut poses, &new_from_old);
         Ok((self.like(map, poses)?, exact))
     }
 
@@ -503,7 +500,9 @@ impl Map {
     /// Writes the voxels as arrays, or the surface as points.
     fn export(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let config = self.mesh_config(None)?;
-        py.detach(|| saved::export(&self.read().map, &config, &path))
+        py.detach(|| export::map(&self.read().map, &config, &path))
+            .or_raise()
+            .map(drop)
     }
 
     /// Frees the memory of everything that is kept to mesh what changes.
@@ -648,21 +647,13 @@ impl Map {
     /// Adds the blocks of a file as they are read.
     fn merge_file(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
         py.detach(|| {
-            let mut reader = Reader::open(&path).or_raise()?;
+            let reader = Reader::open(&path).or_raise()?;
             let mut content = self.write();
             let same = content.map.config().check_same(reader.config());
             same.map_err(|error| wrong(format_args!("{}: {error}", path.display())))?;
-            let integrations = content.map.integrations().wrapping_add(reader.integrations());
-            content.poses.extend(reader.take_poses());
-            let (mut limited, mut blocks) = (0, Vec::new());
-            let map = &mut content.map;
-            let added = reader.for_each_block(|index, block| {
-                limited += map.add_block(index, &block)?;
-                blocks.push(index);
-                Ok(())
-            });
-            added.or_raise()?;
-            map.set_integrations(integrations);
+            let mut blocks = Vec::new();
+            let Content { map, poses } = &mut *content;
+            let limited = saved::add(map, poses, reader, |block| blocks.push(block)).or_raise()?;
             self.note_all(&blocks);
             Ok(limited)
         })

@@ -6,13 +6,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use pyo3::prelude::*;
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse_run::report::MapReport;
+use tsdfuse_run::saved::{STORE_BYTES, whole};
 use tsdfuse_run::{scene, surface};
 use tsdfuse_store::PagedMap;
 
 use crate::data::to_python;
 use crate::error::OrRaise;
 use crate::map::Map;
-use crate::saved::{STORE_BYTES, whole};
 use crate::trajectory::Trajectory;
 
 /// A map of which only a part is in memory: opened for reading.

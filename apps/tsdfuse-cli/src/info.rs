@@ -8,12 +8,13 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use tsdfuse_io::OpenOptions;
+use tsdfuse_run::log_info::{LogInfo, Reading};
+use tsdfuse_run::map_info::MapInfo;
 
 use crate::args::SensorArgs;
 use crate::exit::Outcome;
 use crate::output::{print, print_json};
-use log::LogInfo;
-use map::MapInfo;
+use crate::progress;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -53,7 +54,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         if args.json {
             print_json(&info)?;
         } else {
-            print(&info.table())?;
+            print(&map::table(&info))?;
         }
         return Ok(Outcome::Complete);
     }
@@ -61,7 +62,18 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         glance: true,
         ..args.sensor.options(args.poses.clone())
     };
-    let info = LogInfo::read(&args.path, &options, args.sample as usize)?;
+    let mut bar = None;
+    let info = LogInfo::read(
+        &args.path,
+        &options,
+        args.sample as usize,
+        &mut |reading| match reading {
+            Reading::Begun(scans) => bar = Some(progress::scans("reading", Some(scans))),
+            Reading::Scan => bar.iter().for_each(|bar| bar.inc(1)),
+        },
+    );
+    drop(bar);
+    let info = info?;
     if args.json {
         print_json(&info)?;
     } else {

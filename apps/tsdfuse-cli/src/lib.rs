@@ -11,7 +11,6 @@ mod exit;
 mod fuse;
 mod info;
 mod map;
-mod maps;
 mod measuring;
 mod mesh;
 mod odometry;

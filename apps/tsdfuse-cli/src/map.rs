@@ -4,27 +4,18 @@ mod esdf;
 mod export;
 mod free;
 mod plan;
-#[cfg(feature = "zarr")]
-mod zarr;
 
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
 use clap::Subcommand;
 use glam::{DQuat, DVec3, EulerRot};
-use serde::Serialize;
-use tsdfuse::{Pose, VoxelMap};
-use tsdfuse_io::map_file::{self, Damage, FusedPose, Reader};
-use tsdfuse_loops::{Alignment, Mapped};
-
-use tsdfuse_run::report::{MapReport, SavedMap};
-use tsdfuse_run::{check_outputs, layer};
-use tsdfuse_store::Salvage;
+use tsdfuse::Pose;
+use tsdfuse_run::check_outputs;
+use tsdfuse_run::operation::{self, Findings};
 
 use crate::args::parse_triple;
-use crate::exit::{Outcome, Usage};
-use crate::maps::read_with_poses;
+use crate::exit::Outcome;
 use crate::output::print_json;
 use crate::progress::{note, say, working};
 use crate::terminal;
@@ -139,7 +130,7 @@ enum Operation {
 }
 
 /// Where the result goes.
-#[derive(Clone, Debug, clap::Args)]
+#[derive(Debug, clap::Args)]
 struct Out {
     /// The map to write.
     #[arg(short, long, value_name = "FILE")]
@@ -147,62 +138,6 @@ struct Out {
     /// Print a JSON report.
     #[arg(long)]
     json: bool,
-}
-
-/// What was done.
-#[derive(Debug, Serialize)]
-struct Done {
-    map: MapReport,
-    saved_map: SavedMap,
-    /// How the second map was aligned.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    alignment: Option<Aligned>,
-    /// Merged voxels that are at the weight's limit: a mean of all maps, but not the bits that fusing would give.
-    limited_voxels: Option<u64>,
-    /// Whether the motion only renumbered voxels.
-    exact: Option<bool>,
-    damage: Option<Damage>,
-}
-
-/// How a map lies in the frame of another one.
-#[derive(Debug, Serialize)]
-struct Aligned {
-    /// The row-major 3×4 matrix.
-    first_from_second: [f64; 12],
-    /// Places along the second map's way that were looked for in the first.
-    places: usize,
-    /// Of these, those that were recognised and agree.
-    agreeing: usize,
-    /// Those that were recognised, and say something else.
-    contradicting: usize,
-    /// Root mean square of distances between both surfaces where both are, metres.
-    rms_m: f64,
-    /// Share of the second surface that lies where the first map has one.
-    common: f64,
-}
-
-/// A map, and what is to be said of it.
-struct Made {
-    map: VoxelMap,
-    /// Of its scans.
-    poses: Vec<FusedPose>,
-    alignment: Option<Aligned>,
-    limited_voxels: Option<u64>,
-    exact: Option<bool>,
-    damage: Option<Damage>,
-}
-
-impl From<(VoxelMap, Vec<FusedPose>)> for Made {
-    fn from((map, poses): (VoxelMap, Vec<FusedPose>)) -> Self {
-        Self {
-            map,
-            poses,
-            alignment: None,
-            limited_voxels: None,
-            exact: None,
-            damage: None,
-        }
-    }
 }
 
 pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
@@ -216,26 +151,15 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
         Command::Terrain(args) => return plan::terrain(args),
         Command::Ground(args) => return plan::ground(args),
     };
-    let out = operation.out();
+    let (operation, out) = operation.read();
     check_outputs(&operation.inputs(), &[&out.output])?;
     let spinner = working("working on the map");
-    let made = operation.run()?;
-    let start = Instant::now();
-    map_file::write_with_poses(&out.output, &made.map, &made.poses)?;
-    let layers = operation.run_for_layers()?;
+    let done = operation.write(&out.output)?;
     drop(spinner);
-    let done = Done {
-        map: MapReport::of(&made.map),
-        saved_map: SavedMap::written(&out.output, start),
-        alignment: made.alignment,
-        limited_voxels: made.limited_voxels,
-        exact: made.exact,
-        damage: made.damage,
-    };
-    let lost = done.say();
+    let lost = tell(&done.findings);
     terminal::map(&done.map, None);
     terminal::saved_map(&done.saved_map);
-    for layer in layers {
+    for layer in &done.layers {
         say(format_args!("  wrote    {}", layer.display()));
     }
     if out.json {
@@ -245,228 +169,74 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
 }
 
 impl Operation {
-    /// Does the same to the intensities and colours that lie beside all of the maps; what was written. Of a repaired map they are left
-    /// alone, since they may be whole; resampled and aligned ones are none.
-    fn run_for_layers(&self) -> Result<Vec<PathBuf>> {
-        let mut written = Vec::new();
-        for name in layer::NAMES {
-            let beside = |path: &Path| layer::path_beside(path, name);
-            if !self.inputs().iter().all(|path| beside(path).is_file()) {
-                continue;
-            }
-            let made = match self {
-                Self::Merge { maps, .. } => merge(&maps.iter().map(|map| beside(map)).collect::<Vec<_>>())?,
-                Self::Crop { map, from, to, out } => Self::Crop {
-                    map: beside(map),
-                    from: *from,
-                    to: *to,
-                    out: out.clone(),
-                }
-                .run()?,
-                Self::Transform {
-                    map,
-                    rotation,
-                    translation,
-                    out,
-                } => Self::Transform {
-                    map: beside(map),
-                    rotation: *rotation,
-                    translation: *translation,
-                    out: out.clone(),
-                }
-                .run()?,
-                Self::Resample { .. } | Self::Align { .. } | Self::Repair { .. } => continue,
-            };
-            let path = beside(&self.out().output);
-            map_file::write_with_poses(&path, &made.map, &[])?;
-            written.push(path);
-        }
-        Ok(written)
-    }
-
-    /// Where the map goes.
-    fn out(&self) -> &Out {
+    /// What is to be done, and where the result goes.
+    fn read(&self) -> (operation::Operation, &Out) {
+        use operation::Operation as To;
         match self {
-            Self::Merge { out, .. }
-            | Self::Crop { out, .. }
-            | Self::Resample { out, .. }
-            | Self::Transform { out, .. }
-            | Self::Align { out, .. }
-            | Self::Repair { out, .. } => out,
-        }
-    }
-
-    /// The maps that are read.
-    fn inputs(&self) -> Vec<&Path> {
-        match self {
-            Self::Merge { maps, .. } => maps.iter().map(PathBuf::as_path).collect(),
-            Self::Align { first, second, .. } => vec![first, second],
-            Self::Crop { map, .. }
-            | Self::Resample { map, .. }
-            | Self::Transform { map, .. }
-            | Self::Repair { map, .. } => vec![map],
-        }
-    }
-
-    fn run(&self) -> Result<Made> {
-        let named = |path: &Path| path.display().to_string();
-        match self {
-            Self::Merge { maps, .. } => merge(maps),
-            Self::Crop { map, from, to, .. } => {
+            Self::Merge { maps, out } => (To::Merge { maps: maps.clone() }, out),
+            Self::Crop { map, from, to, out } => {
                 let (low, high) = (from.unwrap_or(DVec3::NEG_INFINITY), to.unwrap_or(DVec3::INFINITY));
-                let (map, poses) = read_with_poses(map)?;
-                // Scans from outside of the box have seen what is in it.
-                Ok((map.cropped(low, high).map_err(Usage::new)?, poses).into())
+                let map = map.clone();
+                (To::Crop { map, low, high }, out)
             }
-            Self::Resample { map, voxel_size, .. } => {
-                let (old, poses) = read_with_poses(map)?;
-                let resampled = old.resampled(*voxel_size).with_context(|| named(map))?;
-                Ok((resampled, poses).into())
+            &Self::Resample {
+                ref map,
+                voxel_size: voxel_size_m,
+                ref out,
+            } => {
+                let map = map.clone();
+                (To::Resample { map, voxel_size_m }, out)
             }
             Self::Transform {
                 map,
                 rotation,
                 translation,
-                ..
+                out,
             } => {
                 let [roll, pitch, yaw] = rotation.to_array().map(f64::to_radians);
-                let pose = Pose {
+                let new_from_old = Pose {
                     rotation: DQuat::from_euler(EulerRot::ZYX, yaw, pitch, roll),
                     translation: *translation,
                 };
-                let (old, mut poses) = read_with_poses(map)?;
-                let (moved, exact) = old.transformed(&pose).with_context(|| named(map))?;
-                poses.iter_mut().for_each(|fused| fused.pose = pose * fused.pose);
-                Ok(Made {
-                    exact: Some(exact),
-                    ..(moved, poses).into()
-                })
+                let map = map.clone();
+                (To::Transform { map, new_from_old }, out)
             }
-            Self::Align { first, second, .. } => align(first, second),
-            Self::Repair { map, .. } if tsdfuse_store::recognises(map) => {
-                let salvage = Salvage::scan(map)?;
-                Ok(Made {
-                    damage: Some(Damage {
-                        places: salvage.damage().places.clone(),
-                        lost_blocks: salvage.damage().lost.as_ref().map(|(_, blocks)| *blocks),
-                    }),
-                    ..(salvage.map()?, salvage.poses().to_vec()).into()
-                })
+            Self::Align { first, second, out } => {
+                let (first, second) = (first.clone(), second.clone());
+                (To::Align { first, second }, out)
             }
-            Self::Repair { map, .. } => {
-                let map_file::Repaired { map, poses, damage } = map_file::repair(map)?;
-                Ok(Made {
-                    damage: Some(damage),
-                    ..(map, poses).into()
-                })
-            }
+            Self::Repair { map, out } => (To::Repair { map: map.clone() }, out),
         }
     }
 }
 
-/// The first map, with the blocks of the others added as they are read, and the poses of all, one map after the other.
-fn merge(paths: &[PathBuf]) -> Result<Made> {
-    let (first, others) = paths.split_first().context("maps are wanted")?;
-    let (mut map, mut poses) = read_with_poses(first)?;
-    let mut limited = 0;
-    for path in others {
-        let mut reader = Reader::open(path)?;
-        let same = map.config().check_same(reader.config());
-        same.with_context(|| format!("{} and {}", first.display(), path.display()))?;
-        let integrations = map.integrations().wrapping_add(reader.integrations());
-        poses.extend(reader.take_poses());
-        reader.for_each_block(|index, block| {
-            limited += map.add_block(index, &block)?;
-            Ok(())
-        })?;
-        map.set_integrations(integrations);
+/// Says what is odd, and whether something is lost.
+fn tell(found: &Findings) -> bool {
+    if let Some(aligned) = &found.alignment {
+        say(format_args!(
+            "aligned by {} of {} places; {:.0} % of the surface is in both maps, {:.1} mm apart",
+            aligned.agreeing,
+            aligned.places,
+            100.0 * aligned.common,
+            1e3 * aligned.rms_m
+        ));
     }
-    Ok(Made {
-        limited_voxels: Some(limited),
-        ..(map, poses).into()
-    })
-}
-
-/// The second map in the frame of the first.
-fn align(first: &Path, second: &Path) -> Result<Made> {
-    let mapped = |path: &Path| {
-        let (map, poses) = read_with_poses(path)?;
-        if poses.is_empty() {
-            bail!(
-                "{}: does not tell the poses of its scans, along which places are looked for",
-                path.display()
-            );
-        }
-        let mapped = Mapped {
-            surface: tsdfuse::mesh::extract(&map)?.vertices,
-            poses: poses.iter().map(|fused| fused.pose).collect(),
-        };
-        Ok((map, poses, mapped))
-    };
-    let (_, _, there) = mapped(first)?;
-    let (map, mut poses, own) = mapped(second)?;
-    let Some(alignment) = tsdfuse_loops::align(&there, &own) else {
-        bail!(
-            "{}: too few places of it were recognised in {}, or they disagree: the map was not moved",
-            second.display(),
-            first.display()
-        );
-    };
-    let (moved, exact) = map
-        .transformed(&alignment.pose)
-        .with_context(|| second.display().to_string())?;
-    poses
-        .iter_mut()
-        .for_each(|fused| fused.pose = alignment.pose * fused.pose);
-    Ok(Made {
-        exact: Some(exact),
-        alignment: Some(alignment.into()),
-        ..(moved, poses).into()
-    })
-}
-
-impl From<Alignment> for Aligned {
-    fn from(alignment: Alignment) -> Self {
-        Self {
-            first_from_second: alignment.pose.to_row_major_3x4(),
-            places: alignment.places,
-            agreeing: alignment.agreeing,
-            contradicting: alignment.contradicting,
-            rms_m: alignment.rms_m,
-            common: alignment.common,
-        }
+    if let Some(limited) = found.limited_voxels.filter(|&n| n > 0) {
+        note(format_args!(
+            "{limited} voxels reached max_weight: they hold the mean of all maps, not the exact bits of fusing all scans"
+        ));
     }
-}
-
-impl Done {
-    /// Says what is odd, and whether something is lost.
-    fn say(&self) -> bool {
-        if let Some(aligned) = &self.alignment {
-            say(format_args!(
-                "aligned by {} of {} places; {:.0} % of the surface is in both maps, {:.1} mm apart",
-                aligned.agreeing,
-                aligned.places,
-                100.0 * aligned.common,
-                1e3 * aligned.rms_m
-            ));
-        }
-        if let Some(limited) = self.limited_voxels.filter(|&n| n > 0) {
-            note(format_args!(
-                "{limited} voxels reached max_weight: they hold the mean of all maps, not the exact bits of fusing all scans"
-            ));
-        }
-        match self.exact {
-            Some(true) => say(format_args!("moved by whole voxels: all voxels are unchanged")),
-            Some(false) => note("moved between voxels: the map was resampled"),
-            None => {}
-        }
-        let Some(damage) = &self.damage else { return false };
-        damage.places.iter().for_each(note);
-        match damage.lost_blocks {
-            Some(0) => say(format_args!("no block is lost")),
-            Some(lost) => note(format_args!("{lost} blocks are lost")),
-            None => note("how many blocks are lost is not known, since the end of the file is"),
-        }
-        damage.lost_blocks != Some(0)
+    match found.exact {
+        Some(true) => say(format_args!("moved by whole voxels: all voxels are unchanged")),
+        Some(false) => note("moved between voxels: the map was resampled"),
+        None => {}
     }
+    let Some(damage) = &found.damage else { return false };
+    damage.places.iter().for_each(note);
+    match damage.lost_blocks {
+        Some(0) => say(format_args!("no block is lost")),
+        Some(lost) => note(format_args!("{lost} blocks are lost")),
+        None => note("how many blocks are lost is not known, since the end of the file is"),
+    }
+    damage.lost_blocks != Some(0)
 }

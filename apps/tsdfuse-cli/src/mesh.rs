@@ -7,10 +7,10 @@ use anyhow::Result;
 use serde::Serialize;
 use tsdfuse::mesh::MeshConfig;
 use tsdfuse_run::report::{MapReport, MeshReport};
+use tsdfuse_run::saved::open_store;
 use tsdfuse_run::{Device, Layers, check_outputs, scene, surface};
 
 use crate::exit::{self, Outcome, Usage};
-use crate::maps::open_store;
 use crate::output::{self, print_json};
 use crate::{progress, terminal};
 

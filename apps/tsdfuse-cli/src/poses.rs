@@ -1,7 +1,5 @@
 //! `tsdfuse poses`: trajectories side by side, and from one kind of file to the other.
 
-mod track;
-
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -12,7 +10,7 @@ use tsdfuse_eval::trajectory::{TrajectoryComparison, compare};
 use tsdfuse_evaluate::trajectories;
 use tsdfuse_io::poses::{self, Poses};
 use tsdfuse_io::{atomic, png};
-use tsdfuse_run::check_outputs;
+use tsdfuse_run::{check_outputs, saved};
 
 use crate::exit::{Outcome, Usage};
 use crate::output::{print, print_json};
@@ -109,7 +107,7 @@ impl Compare {
             }
             check_outputs(&[&self.track, &self.reference], &[path])?;
         }
-        let (track, reference) = (track::read(&self.track)?, track::read(&self.reference)?);
+        let (track, reference) = (saved::poses(&self.track)?, saved::poses(&self.reference)?);
         let found = compare(&track, &reference, !self.no_align);
         let found = found.with_context(|| format!("{} and {}", self.track.display(), self.reference.display()))?;
         if let Some(path) = &self.plot {
@@ -144,7 +142,7 @@ impl Convert {
         let inputs = [Some(&self.input), self.times.as_ref()];
         let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
         check_outputs(&inputs, &[&self.output])?;
-        let mut track = track::read(&self.input)?;
+        let mut track = saved::poses(&self.input)?;
         if let Some(path) = &self.times {
             track = with_times(&track, path)?;
         }

@@ -1,7 +1,6 @@
 //! `tsdfuse render`: a saved map in, pictures of it out.
 
 mod look;
-mod movie;
 mod name;
 mod scan;
 
@@ -17,6 +16,7 @@ use tsdfuse::SensorModel;
 use tsdfuse::fuse::pictures::Picture;
 use tsdfuse::render::{Camera, ImageKind, RenderConfig};
 use tsdfuse::sensor::Pinhole;
+use tsdfuse_run::movie::{Movie, is_movie};
 use tsdfuse_run::report::{MapReport, ViewReport};
 use tsdfuse_run::{Device, Layers, RunError, check_outputs, view};
 
@@ -24,8 +24,7 @@ use crate::exit::{self, Outcome, Usage};
 use crate::output::print_json;
 use crate::progress::{self, note, say};
 use crate::terminal;
-use look::{Look, LookArgs};
-use movie::{Movie, is_movie};
+use look::LookArgs;
 
 const MORE_HELP: &str = "\
 Camera frame: x forward, y left, z up. Positive YAW turns left, PITCH up, ROLL lowers the right side; degrees. A pose file holds \
@@ -120,13 +119,13 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let pictures = args.pictures_of_map(&layers);
     let pinhole = args.look.camera()?;
     let sensor = args.sensor.as_deref().and_then(tsdfuse::sensor::model);
-    let place = Look::of(&args.look)?;
+    let place = look::eye(&args.look)?;
     let mut inputs = vec![args.map.as_path()];
     inputs.extend(args.look.poses.as_deref());
     check_outputs(&inputs, &[&args.output])?;
 
     let start = Instant::now();
-    let (map, fused) = crate::maps::read_any_with_poses(&args.map)?;
+    let (map, fused) = tsdfuse_run::saved::read(&args.map)?;
     let driven: Vec<DVec3> = fused.iter().map(|fused| fused.pose.translation).collect();
     let read_seconds = start.elapsed().as_secs_f64();
     let spinner = progress::working("rendering");

@@ -43,7 +43,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     let path = &args.run.log.log;
     let stop = exit::stop_on_interrupt()?;
     if tsdfuse_store::recognises(path) {
-        let mut store = crate::maps::open_store(path)?;
+        let mut store = tsdfuse_run::saved::open_store(path)?;
         let poses = store.poses().to_vec();
         return show(args, &stop, &poses, &mut store.surface(&args.mesh()?));
     }

@@ -1,7 +1,5 @@
 //! `tsdfuse simulate`: scans of a scene whose true surface is known.
 
-mod hits;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -13,12 +11,11 @@ use indicatif::HumanCount;
 use serde::Serialize;
 use tsdfuse_io::atomic::Folder;
 use tsdfuse_io::plain::Writer;
-use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
+use tsdfuse_sim::{Hits, NoiseModel, Simulator, SimulatorConfig, path, scene};
 
 use crate::args::parse_triple;
 use crate::exit::{Outcome, Usage};
 use crate::progress::{self, say};
-use hits::Hits;
 
 /// Largest distance between the true surface and `scene.ply`.
 const CHORD_M: f64 = 0.002;

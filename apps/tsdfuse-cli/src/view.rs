@@ -70,11 +70,11 @@ impl Args {
     fn surface(&self, config: &MeshConfig) -> Result<(Scene, tsdfuse::Mesh)> {
         let name = self.path.to_string_lossy();
         if tsdfuse_store::recognises(&self.path) {
-            let store = crate::maps::open_store(&self.path)?;
+            let store = tsdfuse_run::saved::open_store(&self.path)?;
             let poses = store.poses().to_vec();
             let (report, voxel_size_m) = (MapReport::of_paged(&store), store.config().voxel_size_m);
             drop(store);
-            let map = crate::maps::read_any(&self.path)?;
+            let map = tsdfuse_run::saved::read(&self.path)?.0;
             let scene = scene::of_map(&name, voxel_size_m, &report, &poses);
             return Ok((scene, extract_with(&map, config)?));
         }

@@ -24,6 +24,7 @@
 
 mod beam;
 mod bvh;
+mod hits;
 mod lidar;
 mod noise;
 mod objects;
@@ -31,6 +32,7 @@ pub mod path;
 mod primitive;
 pub mod scene;
 
+pub use hits::Hits;
 pub use lidar::{SimulationError, Simulator, SimulatorConfig};
 pub use noise::NoiseModel;
 pub use primitive::{Primitive, Terrain};

@@ -10,9 +10,9 @@ use tsdfuse_io::npz::Arrays;
 use tsdfuse_io::{atomic, map_file};
 use tsdfuse_plan::{Esdf, EsdfConfig};
 use tsdfuse_run::check_outputs;
+use tsdfuse_run::saved::open_store;
 
 use crate::exit::{Outcome, Usage};
-use crate::maps::open_store;
 use crate::progress::{say, working};
 
 #[derive(Debug, clap::Args)]

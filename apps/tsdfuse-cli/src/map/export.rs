@@ -4,38 +4,12 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use indicatif::HumanCount;
-use tsdfuse::mesh::{MeshConfig, extract_with};
-use tsdfuse_io::{map_file, npz, ply};
+use tsdfuse::mesh::MeshConfig;
+use tsdfuse_run::check_outputs;
+use tsdfuse_run::export::{self, Exported};
 
-use tsdfuse_run::{check_outputs, surface};
-
-#[cfg(feature = "zarr")]
-use super::zarr;
 use crate::exit::{Outcome, Usage};
-use crate::maps::open_store;
 use crate::progress::say;
-
-#[cfg(not(feature = "zarr"))]
-mod zarr {
-    //! What `-o NAME.zarr` says in a build without the feature `zarr`.
-
-    use std::path::Path;
-
-    use crate::exit::Usage;
-
-    pub(super) fn check(path: &Path) -> anyhow::Result<()> {
-        let told = "this build writes no Zarr arrays: it was made without the feature zarr";
-        Err(Usage::new(format_args!("{}: {told}", path.display())).into())
-    }
-
-    pub(super) fn of_map<M>(path: &Path, _: M) -> anyhow::Result<()> {
-        check(path)
-    }
-
-    pub(super) fn of_store<M>(path: &Path, _: M) -> anyhow::Result<()> {
-        check(path)
-    }
-}
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -59,43 +33,9 @@ impl Args {
         if !output.is_dir() {
             check_outputs(&[map], &[output])?;
         }
-        let extension = output.extension().map(|e| e.to_string_lossy().to_lowercase());
-        let (what, count) = match (extension.as_deref(), tsdfuse_store::recognises(map)) {
-            (Some("npz"), false) => {
-                let map = map_file::read(map)?;
-                npz::write(output, &map)?;
-                ("voxels", map.observed_voxel_count() as u64)
-            }
-            (Some("zarr"), false) => {
-                zarr::check(output)?;
-                let map = map_file::read(map)?;
-                zarr::of_map(output, &map)?;
-                ("voxels", map.observed_voxel_count() as u64)
-            }
-            (Some("ply"), false) => {
-                let mesh = extract_with(&map_file::read(map)?, &config)?;
-                ply::write_vertices(output, &mesh)?;
-                ("points", mesh.vertices.len() as u64)
-            }
-            (Some("zarr"), true) => {
-                zarr::check(output)?;
-                let mut map = open_store(map)?;
-                zarr::of_store(output, &mut map)?;
-                ("voxels", map.sizes().observed_voxels)
-            }
-            (Some("tsdf"), true) => {
-                let mut map = open_store(map)?;
-                surface::save_in_parts(&mut map, output)?;
-                ("voxels", map.sizes().observed_voxels)
-            }
-            (_, is_store) => {
-                let wrong = if is_store {
-                    "a store is exported as .zarr or .tsdf"
-                } else {
-                    "a map is exported as .npz, .zarr or .ply"
-                };
-                return Err(Usage::new(format_args!("{}: {wrong}", output.display())).into());
-            }
+        let (what, count) = match export::file(map, &config, output)? {
+            Exported::Voxels(count) => ("voxels", count),
+            Exported::Points(count) => ("points", count),
         };
         say(format_args!("  {what:<8} {}", HumanCount(count)));
         say(format_args!("  wrote    {}", self.output.display()));

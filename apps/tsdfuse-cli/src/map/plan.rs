@@ -14,11 +14,10 @@ use tsdfuse_io::nav2::{self, OccupancyGrid};
 use tsdfuse_io::npz::Arrays;
 use tsdfuse_io::{geotiff, png};
 use tsdfuse_plan::{GroundConfig as GroundGridConfig, GroundGrid};
-use tsdfuse_run::{RunError, check_outputs};
+use tsdfuse_run::{RunError, check_outputs, saved};
 
 use crate::args::parse_pair;
 use crate::exit::{Outcome, Usage};
-use crate::maps::{read_any, read_any_with_poses};
 use crate::progress::{say, working};
 
 /// Levels steeper than this are no ground, degrees.
@@ -187,7 +186,7 @@ pub(super) fn slice(args: &Slice) -> Result<Outcome> {
     let outputs: Vec<&Path> = std::iter::once(&*args.output).chain(picture.as_deref()).collect();
     check_outputs(&[&args.map], &outputs)?;
     let _spinner = working("cutting");
-    let (map, poses) = read_any_with_poses(&args.map)?;
+    let (map, poses) = saved::read(&args.map)?;
     let at_height = |[low, high]: &[DVec3; 2]| low.z <= args.height && args.height < high.z;
     let raster = args
         .place
@@ -208,7 +207,7 @@ pub(super) fn section(args: &Section) -> Result<Outcome> {
     check_outputs(&[&args.map], &[&args.output])?;
     let plane = Plane::vertical(args.from, args.to).ok_or_else(|| Usage::new("--from and --to are one place"))?;
     let _spinner = working("cutting");
-    let map = read_any(&args.map)?;
+    let (map, _) = saved::read(&args.map)?;
     let length_m = args.from.distance(args.to);
     // Heights of the blocks that the line passes.
     let (low, high) = (args.from.min(args.to), args.from.max(args.to));
@@ -233,7 +232,7 @@ pub(super) fn terrain(args: &Terrain) -> Result<Outcome> {
     }
     check_outputs(&[&args.map], &outputs)?;
     let _spinner = working("finding the ground");
-    let (map, poses) = read_any_with_poses(&args.map)?;
+    let (map, poses) = saved::read(&args.map)?;
     let raster = args
         .place
         .raster(map.config().voxel_size_m, &poses, bounds(&map, &args.map, |_| true)?)?;
@@ -273,7 +272,7 @@ pub(super) fn ground(args: &Ground) -> Result<Outcome> {
     let outputs: Vec<&Path> = std::iter::once(&*args.output).chain(picture.as_deref()).collect();
     check_outputs(&[&args.map], &outputs)?;
     let _spinner = working("finding the ground");
-    let (map, poses) = read_any_with_poses(&args.map)?;
+    let (map, poses) = saved::read(&args.map)?;
     let cell_m = GROUND_CELL_M.max(map.config().voxel_size_m);
     let shape = args.place.raster(cell_m, &poses, bounds(&map, &args.map, |_| true)?)?;
     let mesh = extract_with(&map, &MeshConfig::default())?;

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Context, Result};
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 use tsdfuse::Pose;
-use tsdfuse::render::{Renderer, flight, overview, turntable};
 use tsdfuse::sensor::Pinhole;
 use tsdfuse_io::rgbd::OPTICAL_FROM_SENSOR;
+use tsdfuse_run::eye::{Eye, rotation, towards};
 
 use crate::args::parse_triple;
 use crate::exit::Usage;
@@ -18,11 +18,6 @@ const SIZE: Size = Size {
     height: 720,
 };
 const FOV_DEG: f32 = 60.0;
-
-/// Speed of a flight, and how long it may take.
-const SPEED_M_PER_SEC: f64 = 6.0;
-const SHORTEST_SECS: f64 = 4.0;
-const LONGEST_SECS: f64 = 120.0;
 
 /// From where, and through which camera.
 #[derive(Debug, clap::Args)]
@@ -72,73 +67,27 @@ impl LookArgs {
 /// More pixels in a row than any screen has; bounds the memory of a view.
 const MAX_EDGE: u32 = 8192;
 
-/// From where a map is looked at.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Look {
-    /// From each of these poses, `world_from_camera`.
-    From(Vec<Pose>),
-    /// From as many places around all of it.
-    Around(usize),
-    /// From places along the sensor's path.
-    Along,
-    /// From where all of it is seen.
-    Overview,
-}
-
-impl Look {
-    /// What the arguments say; pose files are read.
-    pub(super) fn of(args: &LookArgs) -> Result<Self> {
-        if let Some(views) = args.views {
-            return Ok(Self::Around(views.into()));
-        }
-        if args.along_path {
-            return Ok(Self::Along);
-        }
-        if let (Some(from), Some(to)) = (args.from, args.to) {
-            return Ok(Self::From(vec![towards(from, to)?]));
-        }
-        let mut poses = match (&args.pose, &args.poses) {
-            (Some(text), _) => vec![pose(text)?],
-            (_, Some(file)) => tsdfuse_io::poses::read_all(file)?,
-            _ => return Ok(Self::Overview),
-        };
-        if args.optical {
-            poses.iter_mut().for_each(|pose| *pose = *pose * OPTICAL_FROM_SENSOR);
-        }
-        Ok(Self::From(poses))
+/// From where a map is looked at, as the arguments say; pose files are read.
+pub(super) fn eye(args: &LookArgs) -> Result<Eye> {
+    if let Some(views) = args.views {
+        return Ok(Eye::Around(views.into()));
     }
-
-    /// The poses; `camera` is what must have the whole map in its image.
-    pub(super) fn poses(self, renderer: &Renderer, camera: &Pinhole, path: &[DVec3]) -> Vec<Pose> {
-        match self {
-            Self::From(poses) => poses,
-            Self::Around(views) => turntable(renderer, camera, path, views),
-            Self::Along => {
-                let length_m: f64 = path.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
-                let seconds = (length_m / SPEED_M_PER_SEC).clamp(SHORTEST_SECS, LONGEST_SECS);
-                flight(path, (seconds * f64::from(super::movie::FRAMES_PER_SEC)) as usize)
-            }
-            Self::Overview => overview(renderer, camera, path).into_iter().collect(),
-        }
+    if args.along_path {
+        return Ok(Eye::Along);
     }
-}
-
-/// The pose at `from` that looks at `to`, upright.
-fn towards(from: DVec3, to: DVec3) -> Result<Pose> {
-    let way = to - from;
-    let direction = way
-        .try_normalize()
-        .ok_or_else(|| Usage::new("--from and --to are the same place"))?;
-    let (yaw, pitch) = (direction.y.atan2(direction.x), direction.z.clamp(-1.0, 1.0).asin());
-    Ok(Pose {
-        rotation: rotation(yaw, pitch, 0.0),
-        translation: from,
-    })
-}
-
-/// Turned to the left by `yaw`, then up by `pitch`, then with the right side down by `roll`.
-fn rotation(yaw_rad: f64, pitch_rad: f64, roll_rad: f64) -> DQuat {
-    DQuat::from_rotation_z(yaw_rad) * DQuat::from_rotation_y(-pitch_rad) * DQuat::from_rotation_x(roll_rad)
+    if let (Some(from), Some(to)) = (args.from, args.to) {
+        let pose = towards(from, to).ok_or_else(|| Usage::new("--from and --to are the same place"))?;
+        return Ok(Eye::At(vec![pose]));
+    }
+    let mut poses = match (&args.pose, &args.poses) {
+        (Some(text), _) => vec![pose(text)?],
+        (_, Some(file)) => tsdfuse_io::poses::read_all(file)?,
+        _ => return Ok(Eye::Overview),
+    };
+    if args.optical {
+        poses.iter_mut().for_each(|pose| *pose = *pose * OPTICAL_FROM_SENSOR);
+    }
+    Ok(Eye::At(poses))
 }
 
 /// A pose in numbers, or in a file that holds one.
@@ -223,22 +172,6 @@ mod tests {
         assert_eq!(axes("1, -2, 3.5, 90"), [DVec3::Y, -DVec3::X, DVec3::Z]);
         assert_eq!(axes("1,-2,3.5,0,90"), [DVec3::Z, DVec3::Y, -DVec3::X]);
         assert_eq!(axes("1,-2,3.5,0,0,90"), [DVec3::X, DVec3::Z, -DVec3::Y]);
-    }
-
-    #[test]
-    fn looking_somewhere_is_upright() {
-        for to in [
-            DVec3::new(4.0, 5.0, -1.0),
-            DVec3::new(1.0, 2.0, -10.0),
-            DVec3::new(-7.0, 0.0, 3.0),
-        ] {
-            let from = DVec3::new(1.0, 2.0, 3.0);
-            let pose = towards(from, to).unwrap();
-            let ahead = pose.inverse().transform_point(to);
-            assert!((ahead / from.distance(to)).distance(DVec3::X) < 1e-9, "{ahead}");
-            assert!((pose.rotation * DVec3::Y).z.abs() < 1e-9);
-        }
-        assert!(towards(DVec3::ONE, DVec3::ONE).unwrap_err().is::<Usage>());
     }
 
     #[test]

@@ -6,18 +6,18 @@ use glam::{DVec3, I64Vec3};
 use tsdfuse::{Mesh, Scan};
 
 /// Edge of the cells that keep one hit each, metres.
-pub(super) const CELL_M: f64 = 0.05;
+const CELL_M: f64 = 0.05;
 
-/// Hits in the world, the first one in each cell.
+/// Hits in the world, the first one in each cell of 5 cm.
 #[derive(Debug, Default)]
-pub(super) struct Hits {
+pub struct Hits {
     seen: HashSet<I64Vec3>,
     points: Vec<DVec3>,
 }
 
 impl Hits {
     /// Adds the returns of a scan without noise.
-    pub(super) fn add(&mut self, scan: &Scan) {
+    pub fn add(&mut self, scan: &Scan) {
         for hit in scan.points_in_world().into_iter().flatten() {
             if self.seen.insert((hit / CELL_M).floor().as_i64vec3()) {
                 self.points.push(hit);
@@ -26,7 +26,7 @@ impl Hits {
     }
 
     /// The hits as vertices without triangles.
-    pub(super) fn into_cloud(self) -> Mesh {
+    pub fn into_cloud(self) -> Mesh {
         Mesh {
             vertices: self.points,
             ..Default::default()

@@ -5,32 +5,37 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
 use tsdfuse::Pose;
 use tsdfuse::render::{Camera, Pixels};
 use tsdfuse::sensor::Pinhole;
-use tsdfuse_run::report::ViewReport;
-use tsdfuse_run::view::Look;
+use tsdfuse_io::Error;
 
-use crate::exit::Usage;
+use crate::error::{Result, RunError};
+use crate::report::ViewReport;
+use crate::view::Look;
 
 /// Views in a second of a movie.
-pub(super) const FRAMES_PER_SEC: u32 = 25;
+pub const FRAMES_PER_SEC: u32 = 25;
 
 /// Whether a path asks for a movie: `.mp4`.
-pub(super) fn is_movie(path: &Path) -> bool {
+pub fn is_movie(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mp4"))
 }
 
 /// A movie that is being made. It takes its name when it is complete.
-pub(super) struct Movie {
+#[derive(Debug)]
+pub struct Movie {
     ffmpeg: Child,
     path: PathBuf,
     unfinished: PathBuf,
 }
 
 impl Movie {
-    pub(super) fn begin(path: &Path, camera: &Pinhole) -> Result<Self> {
+    /// Starts ffmpeg, for frames of this camera.
+    ///
+    /// # Errors
+    /// [`RunError::Config`] if there is no ffmpeg; [`RunError::Io`] if it does not start.
+    pub fn begin(path: &Path, camera: &Pinhole) -> Result<Self> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let unfinished = path.with_file_name(format!(".{name}.{}.mp4", std::process::id()));
         let mut command = Command::new("ffmpeg");
@@ -55,9 +60,9 @@ impl Movie {
             Ok(ffmpeg) => ffmpeg,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 let told = "movies are made by ffmpeg, which is not installed; with .png instead of .mp4 the views are written one by one";
-                return Err(Usage::new(told).into());
+                return Err(RunError::config(told));
             }
-            Err(error) => return Err(error).context("ffmpeg"),
+            Err(error) => return Err(Error::io("ffmpeg")(error).into()),
         };
         Ok(Self {
             ffmpeg,
@@ -67,7 +72,10 @@ impl Movie {
     }
 
     /// Looks once, and adds what is seen.
-    pub(super) fn add(&mut self, look: &mut Look<'_>, camera: &Camera, pose: Pose) -> Result<ViewReport> {
+    ///
+    /// # Errors
+    /// What looking and ffmpeg say.
+    pub fn add(&mut self, look: &mut Look<'_>, camera: &Camera, pose: Pose) -> Result<ViewReport> {
         let start = Instant::now();
         let view = look(camera, pose)?;
         let seconds = start.elapsed().as_secs_f64();
@@ -89,23 +97,25 @@ impl Movie {
         })
     }
 
-    pub(super) fn finish(mut self) -> Result<()> {
+    /// Completes the file.
+    ///
+    /// # Errors
+    /// What ffmpeg says, or if the file cannot be renamed.
+    pub fn finish(mut self) -> Result<()> {
         self.end()?;
-        std::fs::rename(&self.unfinished, &self.path).with_context(|| self.path.display().to_string())
+        Ok(std::fs::rename(&self.unfinished, &self.path).map_err(Error::io(&self.path))?)
     }
 
     fn end(&mut self) -> Result<()> {
         drop(self.ffmpeg.stdin.take());
         let mut told = String::new();
         if let Some(stderr) = &mut self.ffmpeg.stderr {
-            std::io::Read::read_to_string(stderr, &mut told).context("ffmpeg")?;
+            std::io::Read::read_to_string(stderr, &mut told).map_err(Error::io("ffmpeg"))?;
         }
-        let status = self.ffmpeg.wait().context("ffmpeg")?;
+        let status = self.ffmpeg.wait().map_err(Error::io("ffmpeg"))?;
         if !status.success() {
-            bail!(
-                "ffmpeg: {}",
-                told.lines().last().unwrap_or("it failed and said nothing")
-            );
+            let told = told.lines().last().unwrap_or("it failed and said nothing");
+            return Err(Error::dataset("ffmpeg", told).into());
         }
         Ok(())
     }
