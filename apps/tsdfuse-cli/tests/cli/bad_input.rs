@@ -58,7 +58,8 @@ fn a_log_without_poses_is_tracked_unless_its_own_are_asked_for() {
     let run = tsdfuse(&["fuse", &log, "-o", &mesh, "--save-poses", &poses]).succeeded();
     assert!(run.stderr.contains("by odometry"), "{}", run.stderr);
     let of_fuse = fs::read_to_string(folder.path("poses.tum")).unwrap();
-    assert_eq!(of_fuse.lines().count(), 8);
+    assert!(of_fuse.starts_with("# world_from_sensor"));
+    assert_eq!(of_fuse.lines().count(), 1 + 8);
     tsdfuse(&["odometry", &log, "-o", &folder.text("alone.tum")]).succeeded();
     assert_eq!(fs::read_to_string(folder.path("alone.tum")).unwrap(), of_fuse);
     let line = tsdfuse(&[

@@ -37,11 +37,11 @@ pub fn write(path: impl AsRef<Path>, poses: &Poses) -> Result<()> {
 /// The first line of a file of poses of the sensor itself.
 const OF_SENSOR: &str = "# world_from_sensor: poses of the sensor, not of a body that carries it\n";
 
-/// As [`write`], for poses of a sensor, at times of its own clock, which a log may know to sit on a body: a first line, which other
+/// As [`write()`], for poses of a sensor, at times of its own clock, which a log may know to sit on a body: a first line, which other
 /// readers take for a comment, says so, and [`open_with`](crate::open_with) moves such poses by no extrinsics and no time offset.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_of_sensor(path: impl AsRef<Path>, poses: &Poses) -> Result<()> {
     write_after(path.as_ref(), OF_SENSOR, poses)
 }
