@@ -57,7 +57,7 @@ pub fn map(map: &VoxelMap, config: &MeshConfig, output: &Path) -> Result<Exporte
 pub fn store(map: &mut PagedMap, output: &Path) -> Result<Exported> {
     match check(output, STORE)?.as_str() {
         "tsdf" => map.save(output)?,
-        _ => zarr::of_store(output, map)?,
+        _ => zarr::of_store(output, &mut *map)?,
     }
     Ok(Exported::Voxels(map.sizes().observed_voxels))
 }
