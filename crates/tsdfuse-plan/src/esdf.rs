@@ -106,11 +106,12 @@ impl Esdf {
         });
         let chunks = &self.chunks;
         let changes = pieces.par_iter().map_init(Sampler::default, |sampler, piece| {
-            chunks.change(piece.block, sampler.sites(&lattice, piece))
+            chunks.change(&lattice, piece.block, sampler.sites(&lattice, piece))
         });
         let changes: Vec<Change> = changes.flatten_iter().collect();
-        let changed = self.chunks.put(&lattice, changes);
-        let distances = transform::run(&lattice, &self.chunks, &changed);
+        let changed = self.chunks.put(changes);
+        let before = changed.iter().map(|&index| (index, self.chunks.take(index))).collect();
+        let distances = transform::run(&lattice, &self.chunks, before);
         self.chunks.set(distances);
         changed
     }

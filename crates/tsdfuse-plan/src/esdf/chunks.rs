@@ -1,11 +1,11 @@
 //! Sites and distances by chunks of voxels.
 
-use std::collections::BTreeMap;
-use std::ops::RangeInclusive;
+use std::cmp::Ordering;
 
 use hashbrown::{HashMap, HashSet};
+use rayon::prelude::*;
 use rustc_hash::FxBuildHasher;
-use tsdfuse::glam::IVec3;
+use tsdfuse::glam::{IVec2, IVec3};
 use tsdfuse::index::BlockIndex;
 
 use super::lattice::{CELLS, Lattice};
@@ -40,12 +40,13 @@ pub struct Chunk {
 
 impl Chunk {
     /// Takes sites out, each once, and puts others in.
-    fn exchange(&mut self, mut gone: Vec<LocalSite>, new: Vec<LocalSite>) {
+    fn exchange(&mut self, mut gone: Vec<LocalSite>, mut new: Vec<LocalSite>) {
         gone.sort_unstable();
+        new.sort_unstable();
         let mut gone = gone.into_iter().peekable();
         self.sites.retain(|site| gone.next_if_eq(site).is_none());
         self.sites.extend(new);
-        // Two sorted runs: the second is short.
+        // Two sorted runs.
         self.sites.sort();
     }
 
@@ -96,48 +97,59 @@ fn localize(lattice: &Lattice, site: &Site) -> (IVec3, LocalSite) {
 pub(super) struct Change {
     block: BlockIndex,
     sites: Box<[Site]>,
-    gone: Vec<Site>,
-    new: Vec<Site>,
+    /// With their chunks.
+    gone: Vec<(IVec3, LocalSite)>,
+    /// With their chunks.
+    new: Vec<(IVec3, LocalSite)>,
+    /// The first chunk that they reach, and the last.
+    reached: [IVec3; 2],
 }
 
 impl Change {
     /// `None` if the sites are as before.
-    fn of(block: BlockIndex, before: &[Site], sites: &[Site]) -> Option<Self> {
-        let only = |a: &[Site], b: &[Site]| -> Vec<Site> {
-            let differs = |site: &&Site| b.binary_search(site).is_err();
-            a.iter().filter(differs).copied().collect()
+    fn of(lattice: &Lattice, block: BlockIndex, before: &[Site], sites: &[Site]) -> Option<Self> {
+        if before == sites {
+            return None;
+        }
+        let (mut gone, mut new) = (Vec::new(), Vec::new());
+        let (mut low, mut high) = (IVec3::MAX, IVec3::MIN);
+        let mut local = |site: &Site| {
+            let at = IVec3::new(site.x, site.y, site.z);
+            (low, high) = (low.min(at), high.max(at));
+            localize(lattice, site)
         };
-        (before != sites).then(|| Self {
+        let (mut left, mut right) = (before.iter().peekable(), sites.iter().peekable());
+        while let Some(order) = match (left.peek(), right.peek()) {
+            (Some(before), Some(now)) => Some(before.cmp(now)),
+            (Some(_), None) => Some(Ordering::Less),
+            (None, Some(_)) => Some(Ordering::Greater),
+            (None, None) => None,
+        } {
+            match order {
+                Ordering::Less => gone.extend(left.next().map(&mut local)),
+                Ordering::Greater => new.extend(right.next().map(&mut local)),
+                Ordering::Equal => {
+                    left.next();
+                    right.next();
+                }
+            }
+        }
+        let reach = IVec2::splat(lattice.reach_cells()).extend(lattice.radius_steps);
+        let edge = CHUNK * IVec2::splat(CELLS).extend(lattice.steps);
+        Some(Self {
             block,
-            gone: only(before, sites),
-            new: only(sites, before),
             sites: sites.into(),
+            gone,
+            new,
+            reached: [(low - reach).div_euclid(edge), (high + reach).div_euclid(edge)],
         })
     }
 
     /// The chunks within the radius of what changed.
-    fn chunks(&self, lattice: &Lattice) -> impl Iterator<Item = IVec3> + use<> {
-        let range = |of: fn(&Site) -> i32, reach: i32, edge: i32| -> RangeInclusive<i32> {
-            let (low, high) = self
-                .gone
-                .iter()
-                .chain(&self.new)
-                .map(of)
-                .fold((i32::MAX, i32::MIN), |(low, high), at| (low.min(at), high.max(at)));
-            if low <= high {
-                (low - reach).div_euclid(edge)..=(high + reach).div_euclid(edge)
-            } else {
-                RangeInclusive::new(1, 0)
-            }
-        };
-        let (cells, steps) = (CHUNK * CELLS, CHUNK * lattice.steps);
-        let xs = range(|site| site.x, lattice.reach_cells(), cells);
-        let ys = range(|site| site.y, lattice.reach_cells(), cells);
-        let zs = range(|site| site.z, lattice.radius_steps, steps);
-        xs.flat_map(move |x| {
-            let zs = zs.clone();
-            ys.clone()
-                .flat_map(move |y| zs.clone().map(move |z| IVec3::new(x, y, z)))
+    fn chunks(&self) -> impl Iterator<Item = IVec3> + use<> {
+        let [first, last] = self.reached;
+        (first.x..=last.x).flat_map(move |x| {
+            (first.y..=last.y).flat_map(move |y| (first.z..=last.z).map(move |z| IVec3::new(x, y, z)))
         })
     }
 }
@@ -153,20 +165,24 @@ impl Chunks {
     }
 
     /// What changes if a block has these sites now, which are sorted; `None`: nothing.
-    pub(super) fn change(&self, block: BlockIndex, sites: &[Site]) -> Option<Change> {
+    pub(super) fn change(&self, lattice: &Lattice, block: BlockIndex, sites: &[Site]) -> Option<Change> {
         let before = self.blocks.get(&block).map_or(&[][..], |sites| sites);
-        Change::of(block, before, sites)
+        Change::of(lattice, block, before, sites)
     }
 
     /// Changes sites, each block's once. Returns the chunks whose distances can be others now, sorted.
-    pub(super) fn put(&mut self, lattice: &Lattice, changes: Vec<Change>) -> Vec<IVec3> {
+    pub(super) fn put(&mut self, changes: Vec<Change>) -> Vec<IVec3> {
         let mut changed: HashSet<IVec3, FxBuildHasher> = HashSet::default();
-        let mut by_chunk: BTreeMap<[i32; 3], [Vec<LocalSite>; 2]> = BTreeMap::new();
+        let mut by_chunk: HashMap<IVec3, [Vec<LocalSite>; 2], FxBuildHasher> = HashMap::default();
         for change in changes {
-            changed.extend(change.chunks(lattice));
+            changed.extend(change.chunks());
             for (sites, which) in [(&change.gone, 0), (&change.new, 1)] {
-                for (chunk, site) in sites.iter().map(|site| localize(lattice, site)) {
-                    by_chunk.entry(chunk.to_array()).or_default()[which].push(site);
+                // Most of a block's sites lie in one chunk.
+                for of_one in sites.chunk_by(|(a, _), (b, _)| a == b) {
+                    if let Some((chunk, _)) = of_one.first() {
+                        let sites = of_one.iter().map(|(_, site)| *site);
+                        by_chunk.entry(*chunk).or_default()[which].extend(sites);
+                    }
                 }
             }
             if change.sites.is_empty() {
@@ -175,12 +191,25 @@ impl Chunks {
                 self.blocks.insert(change.block, change.sites)
             };
         }
-        for (chunk, [gone, new]) in by_chunk {
-            self.chunks.entry(chunk.into()).or_default().exchange(gone, new);
-        }
+        let taken = by_chunk.into_iter().map(|(index, exchanged)| {
+            let chunk = self.chunks.remove(&index).unwrap_or_default();
+            (index, chunk, exchanged)
+        });
+        let taken: Vec<(IVec3, Chunk, [Vec<LocalSite>; 2])> = taken.collect();
+        let exchanged = taken.into_par_iter().map(|(index, mut chunk, [gone, new])| {
+            chunk.exchange(gone, new);
+            (index, chunk)
+        });
+        let exchanged: Vec<(IVec3, Chunk)> = exchanged.collect();
+        self.chunks.extend(exchanged);
         let mut changed: Vec<IVec3> = changed.into_iter().collect();
         changed.sort_unstable_by_key(IVec3::to_array);
         changed
+    }
+
+    /// Takes the memory of a chunk's distances, which are about to be others.
+    pub(super) fn take(&mut self, index: IVec3) -> Option<Box<[i16]>> {
+        self.chunks.get_mut(&index)?.squared.take()
     }
 
     /// Puts in distances; `None` for chunks without any.

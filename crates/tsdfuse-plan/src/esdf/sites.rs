@@ -81,7 +81,7 @@ impl Sampler {
             let steps = lattice.steps_of(point);
             match steps.abs().cmplt(FAR).all() {
                 // To the nearest: voxel centres may lie on borders of cells.
-                true => (steps + 0.5).floor().as_ivec3(),
+                true => floor(steps + 0.5),
                 false => OUTSIDE,
             }
         };
@@ -119,6 +119,14 @@ impl Sampler {
             }
         }
     }
+}
+
+/// The whole numbers below, without the call that rounding is on processors that have no instruction for it.
+#[inline(always)]
+fn floor(steps: DVec3) -> IVec3 {
+    let toward_zero = steps.as_ivec3();
+    let is_less = steps.cmplt(toward_zero.as_dvec3());
+    toward_zero - IVec3::from(<[bool; 3]>::from(is_less).map(i32::from))
 }
 
 const _: () = assert!(CELLS == 2, "the docs say half a voxel");

@@ -30,17 +30,15 @@ const APART: usize = CELLS as usize * (TOGETHER - 1);
 /// A chunk and the squared distances of its voxels in steps, x slowest; none where all are beyond the radius.
 type Found = (IVec3, Option<Box<[i16]>>);
 
-/// The distances of these chunks, which are sorted, in order of their layers.
-pub(super) fn run(lattice: &Lattice, chunks: &Chunks, changed: &[IVec3]) -> Vec<Found> {
+/// The distances of these chunks, which are sorted, in order of their layers, written over what they had before.
+pub(super) fn run(lattice: &Lattice, chunks: &Chunks, changed: Vec<Found>) -> Vec<Found> {
     let tables = Tables::new(lattice);
-    let mut layers: BTreeMap<i32, Vec<IVec2>> = BTreeMap::new();
-    for chunk in changed {
-        layers.entry(chunk.z).or_default().push(chunk.truncate());
+    let mut layers: BTreeMap<i32, Vec<Found>> = BTreeMap::new();
+    for found in changed {
+        layers.entry(found.0.z).or_default().push(found);
     }
-    layers
-        .iter()
-        .flat_map(|(z, layer)| tables.layer(chunks, *z, layer))
-        .collect()
+    let layers = layers.into_iter();
+    layers.flat_map(|(z, layer)| tables.layer(chunks, z, layer)).collect()
 }
 
 /// Squares that are looked up, and how far sites are seen.
@@ -97,10 +95,10 @@ impl Tables {
     }
 
     /// The distances of the chunks of a layer, which are sorted.
-    fn layer(&self, chunks: &Chunks, z: i32, changed: &[IVec2]) -> Vec<Found> {
+    fn layer(&self, chunks: &Chunks, z: i32, changed: Vec<Found>) -> Vec<Found> {
         // The cells in x that are needed of each chunk, by columns of chunks along y.
         let mut needed: BTreeMap<i32, BTreeMap<i32, Range<i32>>> = BTreeMap::new();
-        for chunk in changed {
+        for (chunk, _) in &changed {
             for dx in -self.beside..=self.beside {
                 let cells =
                     (-dx * CHUNK_CELLS - self.reach).max(0)..((1 - dx) * CHUNK_CELLS + self.reach).min(CHUNK_CELLS);
@@ -121,11 +119,11 @@ impl Tables {
             .into_par_iter()
             .map(|(x, needed)| (x, dispatch!(level, _ => self.along_y(chunks, [x, z], needed))))
             .collect();
-        let distances = |chunk: &IVec2| {
-            let squared = dispatch!(level, _ => self.along_x(&planes, *chunk));
-            (chunk.extend(z), squared)
+        let distances = |(chunk, before): Found| {
+            let squared = dispatch!(level, _ => self.along_x(&planes, chunk.truncate(), before));
+            (chunk, squared)
         };
-        changed.par_iter().map(distances).collect()
+        changed.into_par_iter().map(distances).collect()
     }
 
     /// The planes of a column of chunks along y.
@@ -252,7 +250,12 @@ impl Tables {
     }
 
     #[inline(always)]
-    fn along_x(&self, planes: &BTreeMap<i32, BTreeMap<i32, Planes>>, chunk: IVec2) -> Option<Box<[i16]>> {
+    fn along_x(
+        &self,
+        planes: &BTreeMap<i32, BTreeMap<i32, Planes>>,
+        chunk: IVec2,
+        before: Option<Box<[i16]>>,
+    ) -> Option<Box<[i16]>> {
         // Of all cells within reach, from the first voxel's first on.
         let plane = |cell: i32| {
             let planes = planes.get(&(chunk.x + cell.div_euclid(CHUNK_CELLS)))?.get(&chunk.y)?;
@@ -265,7 +268,8 @@ impl Tables {
         if within.is_empty() {
             return None;
         }
-        let mut squared = vec![FAR; VOXELS];
+        // All of it is overwritten.
+        let mut squared = before.unwrap_or_else(|| vec![FAR; VOXELS].into_boxed_slice());
         let mut is_near = false;
         for x in (0..EDGE).step_by(TOGETHER) {
             let first = x * CELLS as usize;
@@ -282,7 +286,7 @@ impl Tables {
                 }
             }
         }
-        is_near.then(|| squared.into_boxed_slice())
+        is_near.then_some(squared)
     }
 }
 
