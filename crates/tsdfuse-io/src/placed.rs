@@ -10,8 +10,8 @@ use crate::source::ScanRef;
 /// The longest time between two scans over which the sensor is taken to move steadily, seconds.
 pub const MAX_STEP_SECS: f64 = 1.0;
 
-/// How the sensor moves while scan `index` measures points at `times`: through all poses of the trajectory within the sweep, if
-/// there is no gap; otherwise through the pose of the next scan, or of the one before if the next is farther away than
+/// How the sensor moves while scan `index` measures points at `times`: as the trajectory says, or the poses of the scans around it,
+/// if there is no gap; otherwise through the pose of the next scan, or of the one before if the next is farther away than
 /// [`MAX_STEP_SECS`].
 pub(crate) fn motion(
     scans: &[ScanRef],
@@ -26,31 +26,35 @@ pub(crate) fn motion(
     else {
         return Vec::new();
     };
-    if let Some(trajectory) = trajectory {
-        let (first, last) = span(times);
+    let (first, last) = span(times);
+    let within = |trajectory: &Trajectory, body_from_sensor| {
         let is_covered = || poses::covers(trajectory, ns_after(now, first), ns_after(now, last));
-        if last - first > 0.0
-            && last.max(-first) <= MAX_STEP_SECS
-            && is_covered()
-            && let Some((_, motion)) = trajectory.motion_within(now, first, last, body_from_sensor)
-        {
-            return motion;
-        }
+        let is_sweep = last - first > 0.0 && last.max(-first) <= MAX_STEP_SECS && is_covered();
+        let motion = is_sweep.then(|| trajectory.motion_within(now, first, last, body_from_sensor));
+        motion.flatten().map(|(_, motion)| motion)
+    };
+    if let Some(motion) = trajectory.and_then(|trajectory| within(trajectory, body_from_sensor)) {
+        return motion;
     }
     // Of the same sensor.
-    let neighbours = [scans.get(index + 1..), scans.get(..index)];
-    let [after, before] = neighbours.map(Option::unwrap_or_default);
-    let same = |other: &&ScanRef| other.sensor == scan.sensor;
-    let near = [after.iter().find(same), before.iter().rev().find(same)];
-    let mut motions = near.into_iter().flatten().filter_map(|other| {
-        let secs = secs_between(now, other.time_ns?);
-        Some(PoseAt {
-            secs,
-            pose: other.pose?,
-        })
-    });
-    let near = motions.find(|m| m.secs != 0.0 && m.secs.abs() <= MAX_STEP_SECS);
-    near.into_iter().collect()
+    let placed = |other: &ScanRef| (other.sensor == scan.sensor).then_some((other.time_ns?, other.pose?));
+    let [before, after] = [scans.get(..index), scans.get(index + 1..)].map(Option::unwrap_or_default);
+    let after: Vec<_> = after.iter().filter_map(placed).take(2).collect();
+    let mut before: Vec<_> = before.iter().rev().filter_map(placed).take(2).collect();
+    let next = [after.first(), before.first()].map(Option::copied);
+    before.reverse();
+    before.extend(scan.pose.map(|pose| (now, pose)));
+    before.extend(after);
+    let around = Trajectory::new(before).ok();
+    let around = around.and_then(|around| within(&around, &Pose::IDENTITY));
+    around.unwrap_or_else(|| {
+        let mut near = next.into_iter().flatten().map(|(time_ns, pose)| PoseAt {
+            secs: secs_between(now, time_ns),
+            pose,
+        });
+        let near = near.find(|m| m.secs != 0.0 && m.secs.abs() <= MAX_STEP_SECS);
+        near.into_iter().collect()
+    })
 }
 
 /// The first and the last of some times; 0 is always within.

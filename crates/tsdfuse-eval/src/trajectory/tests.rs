@@ -148,12 +148,15 @@ fn poses_are_matched_by_time_or_else_by_order() {
     let truth = circle();
     let reference = timed(&truth, 0);
     // Half a step later, and longer than the reference.
-    let between: Vec<Pose> = truth
-        .windows(2)
-        .map(|pair| Pose {
-            translation: 0.5 * (pair[0].translation + pair[1].translation),
-            rotation: pair[0].rotation.slerp(pair[1].rotation, 0.5),
-        })
+    let timeline = Trajectory::new(
+        truth
+            .iter()
+            .enumerate()
+            .map(|(i, &pose)| (100_000_000 * i as i64, pose))
+            .collect(),
+    );
+    let between: Vec<Pose> = (1..truth.len() as i64)
+        .map(|i| timeline.as_ref().unwrap().at(100_000_000 * i - 50_000_000).unwrap())
         .chain([Pose::IDENTITY; 3])
         .collect();
     let found = compare(&timed(&between, 50_000_000), &reference, false).unwrap();
