@@ -41,7 +41,7 @@ pub(crate) fn motion(
     let [before, after] = [scans.get(..index), scans.get(index + 1..)].map(Option::unwrap_or_default);
     let after: Vec<_> = after.iter().filter_map(placed).take(2).collect();
     let mut before: Vec<_> = before.iter().rev().filter_map(placed).take(2).collect();
-    let next = [after.first(), before.first()].map(Option::copied);
+    let next = [after.first().copied(), before.first().copied()];
     before.reverse();
     before.extend(scan.pose.map(|pose| (now, pose)));
     before.extend(after);
