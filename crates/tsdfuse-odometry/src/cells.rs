@@ -31,6 +31,12 @@ const THICKEST: f64 = 0.1;
 /// The plane's second widest direction is at least this many times as wide as the plane is thick.
 const LEAST_WIDTH: f64 = 3.0;
 
+/// A plane lies along a side of its cell if its normal has at least this share across the side.
+const ALONG_SIDE: f64 = 0.9;
+
+/// Noise moves points over a side that is nearer than this to their plane, in standard deviations of a return.
+const CUT: f64 = 2.0;
+
 /// Elevations within such an angle are not told apart, radians.
 const ELEVATION_STEP: f32 = 0.005;
 
@@ -90,8 +96,17 @@ impl Sums {
             along: [eigen.vectors[1] / mid.sqrt(), eigen.vectors[2] / wide.sqrt()],
             variance,
             share: 1.0 / self.n,
+            is_cut: is_cut(mean, eigen.vectors[0], size, noise),
         })
     }
+}
+
+/// Whether a plane lies along a side of its cell and so near to it that noise moves points across: it lost those on the other side, and lies too far
+/// inside. `mean` is relative to the cell's centre.
+fn is_cut(mean: DVec3, normal: DVec3, size: f64, noise: f64) -> bool {
+    let to_side = 0.5 * size - mean.abs();
+    let cut = normal.abs().cmpgt(DVec3::splat(ALONG_SIDE)) & to_side.cmplt(DVec3::splat(CUT * noise));
+    cut.any()
 }
 
 /// The plane of a cell's points, in the world.
@@ -106,6 +121,8 @@ pub(crate) struct Plane {
     variance: f64,
     /// One over the number of points.
     share: f64,
+    /// Whether it lost points to the cell beside its own.
+    is_cut: bool,
 }
 
 impl Plane {
@@ -431,7 +448,7 @@ impl Cells {
         self.planes_of(smallest, |at, plane| {
             let (_, variance) = plane.residual(p);
             // Of equals the smaller one.
-            if variance <= least {
+            if variance <= least && !plane.is_cut {
                 (best, least) = (Some(at), variance);
             }
         });

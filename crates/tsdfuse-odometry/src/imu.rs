@@ -27,7 +27,7 @@ const GYRO_BIAS: (f64, f64) = (0.01, 1e-4);
 /// The same of an accelerometer, m/s².
 const FORCE_BIAS: (f64, f64) = (0.2, 1e-3);
 
-/// Standard deviation of gravity's components before the sensor has moved, m/s²: its acceleration at the start.
+/// Standard deviation of gravity's components before the sensor has moved, m/s², at least: its acceleration at the start.
 const FIRST_GRAVITY: f64 = 1.0;
 
 /// Standard deviation of a registered turn between sweeps, radians, and of a velocity, m/s.
@@ -311,6 +311,34 @@ impl Inertial {
         })
     }
 
+    /// The sweep that begins `gap` seconds after a moment and takes `secs`, of a sensor that turns as the gyroscope says and keeps its velocity in its
+    /// own frame, as a vehicle does.
+    pub(crate) fn turning(&self, from: &End, gap: f64, secs: f64) -> Option<Motion> {
+        let ahead = from.pose.rotation.conjugate() * from.velocity;
+        let go_on = |poses: &mut Vec<Pose>, begin: f64, secs: f64| -> Option<()> {
+            for j in 0..STEPS {
+                let step = secs / STEPS as f64;
+                let (rate, _) = self.mean(begin + j as f64 * step, begin + (j + 1) as f64 * step)?;
+                let last = *poses.last()?;
+                let turn = DQuat::from_scaled_axis((rate - self.gyro_bias.0) * step);
+                poses.push(
+                    last * Pose {
+                        rotation: turn,
+                        translation: ahead * step,
+                    },
+                );
+            }
+            Some(())
+        };
+        let mut poses = vec![from.pose];
+        if gap > 0.0 {
+            go_on(&mut poses, from.secs, gap)?;
+            poses.drain(..STEPS);
+        }
+        go_on(&mut poses, from.secs + gap, secs)?;
+        Some(Motion { poses: poses.into() })
+    }
+
     /// Which of the three predictions (by the motion before, by turns, by all) is to be used.
     pub(crate) fn choose(&self, predicted: [Option<&Prediction>; 3]) -> PredictedBy {
         let ways = [PredictedBy::Motion, PredictedBy::Gyroscope, PredictedBy::Imu];
@@ -379,7 +407,9 @@ impl Inertial {
         }
         let down = -(end.pose.rotation * force).normalize() * GRAVITY;
         let state = Vector6::new(down.x, down.y, down.z, 0.0, 0.0, 0.0);
-        let (gravity, bias) = (FIRST_GRAVITY.powi(2), FORCE_BIAS.0.powi(2));
+        // What the force is stronger than gravity is a vehicle's acceleration, for instance in a bend.
+        let accelerated = (force.length_squared() - GRAVITY * GRAVITY).abs();
+        let (gravity, bias) = (accelerated.max(FIRST_GRAVITY.powi(2)), FORCE_BIAS.0.powi(2));
         let covariance = Matrix6::from_diagonal(&Vector6::new(gravity, gravity, gravity, bias, bias, bias));
         self.gravity = Some((state, covariance));
     }

@@ -41,12 +41,44 @@ pub(crate) fn turn_of(rotation: DQuat) -> DVec3 {
     q.to_scaled_axis()
 }
 
-/// The motion `b_from_a` repeated `s` times, for any real `s`: rotation and translation in proportion.
+/// The motion `b_from_a` repeated `s` times, for any real `s`: along a screw, as a vehicle goes through a bend.
 pub(crate) fn repeated(motion: &Pose, s: f64) -> Pose {
+    let turn = turn_of(motion.rotation);
+    let shift = ahead(motion) * s;
     Pose {
-        rotation: DQuat::from_scaled_axis(turn_of(motion.rotation) * s),
-        translation: motion.translation * s,
+        rotation: DQuat::from_scaled_axis(turn * s),
+        translation: screwed(turn * s, shift),
     }
+}
+
+/// How a body moves in its own frame, metres in the time of the motion.
+pub(crate) fn ahead(motion: &Pose) -> DVec3 {
+    unscrewed(turn_of(motion.rotation), motion.translation)
+}
+
+/// Where a body comes to that moves by `shift` in its own frame while it turns.
+fn screwed(turn: DVec3, shift: DVec3) -> DVec3 {
+    let angle = turn.length();
+    let (first, second) = if angle < 1e-4 {
+        (0.5, 1.0 / 6.0)
+    } else {
+        let square = angle * angle;
+        ((1.0 - angle.cos()) / square, (angle - angle.sin()) / (square * angle))
+    };
+    let across = turn.cross(shift);
+    shift + first * across + second * turn.cross(across)
+}
+
+/// The inverse: how a body moves in its own frame.
+fn unscrewed(turn: DVec3, translation: DVec3) -> DVec3 {
+    let angle = turn.length();
+    let second = if angle < 1e-4 {
+        1.0 / 12.0
+    } else {
+        (1.0 - 0.5 * angle / (0.5 * angle).tan()) / (angle * angle)
+    };
+    let across = turn.cross(translation);
+    translation - 0.5 * across + second * turn.cross(across)
 }
 
 /// `world_from_sensor` at even steps from the begin of a sweep to its end.
@@ -64,7 +96,7 @@ impl Motion {
         }
     }
 
-    /// From a pose on, by `step` (sensor at the end from sensor at the begin of a sweep) spread evenly.
+    /// From a pose on, by `sweep` (sensor at the end from sensor at the begin of it) spread evenly.
     pub(crate) fn steady(begin: Pose, sweep: &Pose) -> Self {
         let at = |j: usize| begin * repeated(sweep, j as f64 / STEPS as f64);
         Self {
@@ -184,5 +216,29 @@ impl Placer {
         let placed = |(turn, shift): (DMat3, DVec3)| turn * p + shift;
         // Within a step the arc is flatter than a millionth of the range.
         placed(self.0[j]).lerp(placed(self.0[j + 1]), at - j as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_motion_in_parts_is_the_whole() {
+        let motion = Pose {
+            rotation: DQuat::from_scaled_axis(DVec3::new(0.1, -0.3, 0.8)),
+            translation: DVec3::new(2.0, 0.3, -0.1),
+        };
+        let part = repeated(&motion, 0.25);
+        let whole = part * part * part * part;
+        assert!(whole.translation.distance(motion.translation) < 1e-12);
+        assert!(whole.rotation.angle_between(motion.rotation) < 1e-7);
+        // The small angles' series meets the formula.
+        let small = |angle: f64| Pose {
+            rotation: DQuat::from_rotation_z(angle),
+            translation: DVec3::X,
+        };
+        let (series, formula) = (repeated(&small(0.99e-4), 2.0), repeated(&small(1.01e-4), 2.0));
+        assert!(series.translation.distance(formula.translation) < 3e-6);
     }
 }

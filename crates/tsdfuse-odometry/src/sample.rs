@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
-use rustc_hash::{FxBuildHasher, FxHashSet};
+use rustc_hash::{FxBuildHasher, FxHashMap};
 use tsdfuse::Scan;
 
 use crate::cells::{Seen, elevation_bit};
@@ -27,24 +27,33 @@ const GRAIN: usize = 4096;
 /// Parts of space that are thinned beside each other.
 const PARTS: u64 = 16;
 
-/// The first return in each cube of space, in order.
+/// One return in each cube of space, in order: the one nearest to the ray through the middle of the cube. So noise, which runs along the rays, has no say.
+/// (The first one would be that whose noise brings it into the cube before the others, for instance too near where surface comes nearer as the
+/// beams turn, and tracking would drift by that.)
 fn thinned(returns: &[Return], size: f32) -> Vec<Return> {
     let cube = |r: &Return| {
-        let bits = |v: f32| u64::from((v / size).floor() as i32 as u32 & 0x1f_ffff);
-        bits(r.point.x) << 42 | bits(r.point.y) << 21 | bits(r.point.z)
+        let key = (r.point / size).floor();
+        let bits = |v: f32| u64::from(v as i32 as u32 & 0x1f_ffff);
+        let middle = ((key + 0.5) * size).normalize_or_zero();
+        let off = r.point.normalize_or_zero().distance_squared(middle);
+        (bits(key.x) << 42 | bits(key.y) << 21 | bits(key.z), off)
     };
     let part_of = |cube: u64| cube.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32 & (PARTS - 1);
-    let cubes: Vec<u64> = returns.par_iter().with_min_len(GRAIN).map(cube).collect();
-    let firsts = (0..PARTS).into_par_iter().map(|part| {
-        let mut taken: FxHashSet<u64> = FxHashSet::with_capacity_and_hasher(cubes.len() / 40, FxBuildHasher);
-        let own = cubes.iter().enumerate().filter(|(_, cube)| part_of(**cube) == part);
-        own.filter(|(_, cube)| taken.insert(**cube))
-            .map(|(i, _)| i as u32)
-            .collect::<Vec<_>>()
+    let cubes: Vec<(u64, f32)> = returns.par_iter().with_min_len(GRAIN).map(cube).collect();
+    let nearest = (0..PARTS).into_par_iter().map(|part| {
+        let mut nearest: FxHashMap<u64, (f32, u32)> =
+            FxHashMap::with_capacity_and_hasher(cubes.len() / 40, FxBuildHasher);
+        for (i, &(cube, off)) in cubes.iter().enumerate().filter(|(_, (cube, _))| part_of(*cube) == part) {
+            let best = nearest.entry(cube).or_insert((off, i as u32));
+            if off < best.0 {
+                *best = (off, i as u32);
+            }
+        }
+        nearest.into_values().map(|(_, i)| i).collect::<Vec<_>>()
     });
-    let mut firsts = firsts.collect::<Vec<_>>().concat();
-    firsts.par_sort_unstable();
-    firsts.into_iter().map(|i| returns[i as usize]).collect()
+    let mut chosen = nearest.collect::<Vec<_>>().concat();
+    chosen.par_sort_unstable();
+    chosen.into_iter().map(|i| returns[i as usize]).collect()
 }
 
 /// Cubes of the two selections, metres; the larger ones follow the number of returns that is wanted.

@@ -12,7 +12,7 @@ use crate::along::Drift;
 use crate::cells::{Cells, Seen};
 use crate::imu::{End, ImuReport, Inertial, PredictedBy, Prediction};
 use crate::locate::{Search, locate};
-use crate::motion::{Motion, STEPS, repeated, turn_of};
+use crate::motion::{Motion, STEPS, ahead, repeated, turn_of};
 use crate::register::{Prior, Registered, register};
 use crate::sample::{Sampled, Sampling};
 use crate::systematic::Calibrate;
@@ -28,6 +28,10 @@ const FIRST_VELOCITY: f64 = 1.0;
 
 /// Errors of accelerations and of changes of the rate of turn that are predicted from an inertial measurement unit, m/s² and rad/s².
 const IMU_SIGMAS: (f64, f64) = (1.0, 0.3);
+
+/// The gyroscope is believed from the beginning if it turns as registration says from the first scan to the second: up to so many radians, and a share
+/// of the turn.
+const TURNED: (f64, f64) = (0.005, 0.1);
 
 /// With an inertial measurement unit the first scans wait so long, seconds: meanwhile gravity becomes known.
 const LEVELLED_AFTER: f64 = 3.0;
@@ -182,6 +186,15 @@ struct Elsewhere {
     scans: usize,
     /// The piece of the trajectory in it.
     piece: usize,
+}
+
+/// The first two scans.
+struct Begun {
+    /// Of the first one.
+    motion: Motion,
+    second: Registered,
+    /// Sensor at the end of a second from sensor at its begin.
+    velocity: Pose,
 }
 
 /// The end of the last sweep.
@@ -355,7 +368,7 @@ impl Tracker {
     fn predict(&self, last: &Last, gap: f64, secs: f64, is_timed: bool) -> [Option<Prediction>; 3] {
         let begin = last.motion.last() * repeated(&last.velocity, gap);
         let motion = moving(begin, &last.velocity, secs);
-        let velocity = motion.last().rotation * last.velocity.translation;
+        let velocity = motion.last().rotation * ahead(&last.velocity);
         let by_imu = |is_forced| {
             is_timed
                 .then(|| self.imu.predict(&last.end(), gap, secs, is_forced))
@@ -468,46 +481,26 @@ impl Tracker {
         self.first = Some((scan, sampled));
     }
 
-    /// The first two scans: the motion between them is that within them. Found in turns.
+    /// The first two scans: the motion between them is that within them, or what the gyroscope says, if that turns as much from one to the other. How the
+    /// first sweep is bent matters long: later ones are bent to fit it, as long as they see the same surfaces at the same time of the sweep.
     fn begin(&mut self, first: (Scan, Sampled), second: (Scan, Sampled)) {
-        let mut velocity = Pose::IDENTITY;
-        let gap = step_secs(&first, &second);
-        let span = |sampled: &Sampled| sampled.span.1 - sampled.span.0;
-        let mut motions = (Motion::still(Pose::IDENTITY), Motion::still(Pose::IDENTITY));
-        let mut quality = Quality::default();
-        let mut end = Matrix6::identity();
-        let mut is_weak = false;
-        const TURNS: usize = 4;
-        for turn in 0..TURNS {
-            let secs = span(&first.1);
-            motions.0 = moving(self.start, &velocity, secs);
-            self.cells = Cells::new(self.config.cell_m, self.config.noise_m, MOST_POINTS);
-            self.cells.add(&first.1.seen(&motions.0), self.driven);
-            let begin = self.start * repeated(&velocity, gap);
-            let reach = if turn == 0 { 2.0 } else { 0.3 };
-            // A car's speed, and a fast turn.
-            let loose = Matrix6::from_diagonal(&[1.0, 1.0, 1.0, 10.0, 10.0, 10.0].into());
-            let registered = register(
-                &self.cells,
-                &second.1.sparse,
-                &second.1.dense,
-                &Prior {
-                    motion: moving(begin, &velocity, span(&second.1)),
-                    begin: loose,
-                    step_sigma: (
-                        0.01 + 0.1 * 0.5_f64.powi(turn as i32),
-                        0.002 + 0.02 * 0.5_f64.powi(turn as i32),
-                    ),
-                    most: (0.05, 0.02),
-                    is_followed: false,
-                    along: None,
-                    reach,
-                },
-            );
-            velocity = repeated(&(self.start.inverse() * registered.motion.first()), 1.0 / gap);
-            quality = Quality::of(&registered);
-            (motions.1, end, is_weak) = (registered.motion, registered.end, registered.along.is_some());
-        }
+        let Some(steady) = self.begun(&first, &second, false) else {
+            return;
+        };
+        let turned = self.begun(&first, &second, true).filter(|turned| {
+            let [registered, measured] = [&steady, turned].map(|begun| turn_of(begun.second.motion.first().rotation));
+            (measured - registered).length() < TURNED.0 + TURNED.1 * registered.length()
+        });
+        let Begun {
+            motion,
+            second: registered,
+            velocity,
+        } = turned.unwrap_or(steady);
+        let quality = Quality::of(&registered);
+        let (end, is_weak) = (registered.end, registered.along.is_some());
+        let mut motions = (motion, registered.motion);
+        self.cells = Cells::new(self.config.cell_m, self.config.noise_m, MOST_POINTS);
+        self.cells.add(&first.1.seen(&motions.0), self.driven);
         if self.elsewhere.is_some() {
             match self.look(&second.1, &motions.1) {
                 Some(by) => {
@@ -531,11 +524,66 @@ impl Tracker {
             motion: motions.1.clone(),
             information: end,
             velocity,
-            world_velocity: motions.1.last().rotation * velocity.translation,
+            world_velocity: motions.1.last().rotation * ahead(&velocity),
             along: is_weak.then(|| Drift::new(0.01, FIRST_VELOCITY)),
             innovation: (0.05, 0.01),
         });
         self.place(second.0, &motions.1, second.1.span, quality);
+    }
+
+    /// How the first two scans lie to each other, if the sensor moves steadily, or turns as the gyroscope says; `None` without a gyroscope.
+    fn begun(&self, first: &(Scan, Sampled), second: &(Scan, Sampled), is_turned: bool) -> Option<Begun> {
+        const TURNS: usize = 4;
+        let gap = step_secs(first, second);
+        let span = |sampled: &Sampled| sampled.span.1 - sampled.span.0;
+        let mut velocity = Pose::IDENTITY;
+        let mut begun = None;
+        for turn in 0..TURNS {
+            let from = End {
+                secs: secs_between(0, first.0.time_ns.unwrap_or_default()) + first.1.span.0,
+                pose: self.start,
+                velocity: self.start.rotation * ahead(&velocity),
+            };
+            let (motion, expected) = if is_turned {
+                first.0.time_ns?;
+                (
+                    self.imu.turning(&from, 0.0, span(&first.1))?,
+                    self.imu.turning(&from, gap, span(&second.1))?,
+                )
+            } else {
+                let begin = self.start * repeated(&velocity, gap);
+                (
+                    moving(self.start, &velocity, span(&first.1)),
+                    moving(begin, &velocity, span(&second.1)),
+                )
+            };
+            let mut cells = Cells::new(self.config.cell_m, self.config.noise_m, MOST_POINTS);
+            cells.add(&first.1.seen(&motion), self.driven);
+            // A car's speed, and a fast turn.
+            let loose = Matrix6::from_diagonal(&[1.0, 1.0, 1.0, 10.0, 10.0, 10.0].into());
+            let narrower = 0.5_f64.powi(turn as i32);
+            let registered = register(
+                &cells,
+                &second.1.sparse,
+                &second.1.dense,
+                &Prior {
+                    motion: expected,
+                    begin: loose,
+                    step_sigma: (0.01 + 0.1 * narrower, 0.002 + 0.02 * narrower),
+                    most: (0.05, 0.02),
+                    is_followed: false,
+                    along: None,
+                    reach: if turn == 0 { 2.0 } else { 0.3 },
+                },
+            );
+            velocity = repeated(&(self.start.inverse() * registered.motion.first()), 1.0 / gap);
+            begun = Some(Begun {
+                motion,
+                second: registered,
+                velocity,
+            });
+        }
+        begun
     }
 
     fn track(&mut self, scan: Scan, sampled: Sampled) {
