@@ -20,7 +20,7 @@ use tsdfuse_packets::{Calibration, Decoder, Maker, Sensor as Model};
 
 use crate::calibrations::Calibrations;
 use crate::error::{Error, Result};
-use crate::files::ScanFile;
+use crate::mounted::Mounted;
 use crate::placed;
 use crate::poses::{self, Poses};
 use crate::source::{ImuSample, OpenOptions, ScanRef, Sensor, Source};
@@ -29,6 +29,8 @@ pub(crate) use records::{Layout, Records};
 
 /// More sensors than any capture has.
 const MAX_SENSORS: usize = 64;
+/// Of a capture that is only to be described, this much is read.
+const GLANCE_BYTES: u64 = 64 << 20;
 /// Clocks that differ by less are taken to be set alike, seconds.
 const SAME_CLOCK_SECS: f64 = 1.0;
 
@@ -76,6 +78,8 @@ pub(crate) struct Capture {
     path: PathBuf,
     format: &'static str,
     layout: Layout,
+    /// What comes from there on is not looked at.
+    end: u64,
     senders: Vec<Sender>,
     sensors: Vec<Sensor>,
     scans: Vec<ScanRef>,
@@ -95,6 +99,8 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Capture> {
 /// What going through the file finds.
 struct Survey {
     layout: Layout,
+    /// Where it stopped.
+    end: u64,
     senders: Vec<Sender>,
     notes: Vec<String>,
 }
@@ -110,7 +116,12 @@ impl Survey {
         let mut senders: Vec<Sender> = Vec::new();
         let mut refused: Vec<(Flow, String)> = Vec::new();
         let mut others = 0_u64;
+        let mut end = u64::MAX;
         while let Some(datagram) = datagrams.next()? {
+            if options.glance && datagram.offset > GLANCE_BYTES {
+                end = datagram.offset;
+                break;
+            }
             if let Some(sender) = senders.iter_mut().find(|sender| sender.flow == datagram.flow) {
                 sender.take(&datagram);
                 continue;
@@ -174,6 +185,12 @@ impl Survey {
                 .into_iter()
                 .map(|(flow, reason)| format!("packets from {} are left out: {reason}", name_of(&flow))),
         );
+        if end < u64::MAX {
+            let mib = GLANCE_BYTES >> 20;
+            notes.push(format!(
+                "this is an overview: only the first {mib} MiB of the capture were read"
+            ));
+        }
         if unreadable > 0 {
             notes.push(format!(
                 "{unreadable} frames of the network are cut short, damaged or of an unknown link: left out"
@@ -184,10 +201,17 @@ impl Survey {
         }
         Ok(Self {
             layout: datagrams.records().layout().clone(),
+            end,
             senders,
             notes,
         })
     }
+}
+
+/// Keeps those of a list that are marked.
+fn keep<T>(all: &mut Vec<T>, is_kept: &[bool]) {
+    let mut is_kept = is_kept.iter();
+    all.retain(|_| is_kept.next().copied().unwrap_or(false));
 }
 
 fn name_of(flow: &Flow) -> String {
@@ -348,6 +372,7 @@ impl Capture {
     fn new(path: &Path, survey: Survey, options: &OpenOptions) -> Result<Self> {
         let Survey {
             layout,
+            end,
             mut senders,
             mut notes,
         } = survey;
@@ -375,18 +400,23 @@ impl Capture {
             );
             return Err(Error::dataset(path, reason));
         }
-        let mut kept = asked.iter();
-        let names: Vec<String> = names
-            .into_iter()
-            .zip(&asked)
-            .filter(|(_, asked)| **asked)
-            .map(|(name, _)| name)
+        let mut names = names;
+        keep(&mut senders, &asked);
+        keep(&mut names, &asked);
+        let told: Vec<Option<Pose>> = senders
+            .iter()
+            .map(|sender| sender.calibration.body_from_sensor())
             .collect();
-        senders.retain(|_| kept.next().copied().unwrap_or(false));
+        let amounts: Vec<usize> = senders.iter().map(|sender| sender.sweeps.len()).collect();
+        let mounted = Mounted::choose(path, &names, &amounts, &told, options.poses.is_some(), options)?;
+        keep(&mut senders, &mounted.is_kept);
+        keep(&mut names, &mounted.is_kept);
+        notes.extend(mounted.notes);
 
-        let sensors = senders.iter().zip(&names).map(|(sender, name)| Sensor {
+        let sensors = senders.iter().zip(&names).zip(mounted.body_from_sensor);
+        let sensors = sensors.map(|((sender, name), body_from_sensor)| Sensor {
             model: sender.decoder.model(),
-            body_from_sensor: options.extrinsics.unwrap_or_default(),
+            body_from_sensor,
             ..Sensor::new(name)
         });
         let sensors: Vec<Sensor> = sensors.collect();
@@ -400,6 +430,7 @@ impl Capture {
                 Layout::PcapNg(_) => "pcapng capture",
             },
             layout,
+            end,
             shifts_ns: vec![0; senders.len()],
             senders,
             sensors,
@@ -481,40 +512,21 @@ impl Capture {
         let Some(path) = &options.poses else { return Ok(()) };
         let poses = poses::read(path)?;
         // Poses may be on the receiver's clock, though the sensor's is another one.
-        if let (Poses::Timed(timed), [_]) = (&poses, self.senders.as_slice())
-            && let Some(scan) = self.scans.first().and_then(|scan| scan.time_ns)
-            && let Some((_, spot)) = self.spots.first()
-        {
+        if let (Poses::Timed(timed), [_]) = (&poses, self.senders.as_slice()) {
             let (from, to) = timed.span_ns();
             let is_within = |time_ns: i64| (from..=to).contains(&time_ns);
-            if !is_within(scan) && is_within(spot.received_ns) {
+            let is_of_sensor = self.scans.iter().filter_map(|scan| scan.time_ns).any(is_within);
+            if !is_of_sensor && self.spots.iter().any(|(_, spot)| is_within(spot.received_ns)) {
                 self.shift(0);
                 self.list_scans();
                 self.notes
                     .push("the poses are on the capture's clock: the scans' times are moved to it".to_owned());
             }
         }
-        let files: Vec<ScanFile> = self
-            .scans
-            .iter()
-            .map(|scan| ScanFile {
-                path: self.path.clone(),
-                name: scan.name.clone(),
-            })
-            .collect();
-        let times_ns: Option<Vec<i64>> = self.scans.iter().map(|scan| scan.time_ns).collect();
-        let placed = poses::place(path, &poses, &files, times_ns)?;
-        for (scan, (pose, _)) in self.scans.iter_mut().zip(placed) {
-            let body_from_sensor = self.sensors[scan.sensor].body_from_sensor;
-            scan.pose = Some(if body_from_sensor == Pose::IDENTITY {
-                pose
-            } else {
-                pose * body_from_sensor
-            });
-        }
-        if let Poses::Timed(timed) = poses {
-            self.trajectory = Some(timed);
-        }
+        let (scans, spots) = (&mut self.scans, &mut self.spots);
+        let (trajectory, note) = placed::by_file(&self.path, path, poses, &self.sensors, scans, spots)?;
+        self.trajectory = trajectory;
+        self.notes.extend(note);
         Ok(())
     }
 
@@ -604,6 +616,9 @@ impl Source for Capture {
         let Some((i, sender)) = sender else { return Ok(samples) };
         let mut datagrams = Datagrams::new(Records::resume(&self.path, &self.layout, self.layout.begin())?);
         while let Some(datagram) = datagrams.next()? {
+            if datagram.offset >= self.end {
+                break;
+            }
             if datagram.flow.source == sender.flow.source {
                 samples.extend(sender.decoder.imu(datagram.payload));
             }

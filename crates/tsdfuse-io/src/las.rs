@@ -92,6 +92,8 @@ mod reading {
 
     /// How long a scan is.
     const SWEEP_NS: i64 = 100_000_000;
+    /// No scanner sees this far, metres.
+    const FAR_M: f64 = 10_000.0;
     /// Points that are unpacked at once.
     const BATCH: u64 = 1 << 16;
 
@@ -110,6 +112,7 @@ mod reading {
                           supplies it, on the clock of the points' GPS times";
             return Err(Error::dataset(path, reason));
         };
+        check_world(&files, &pose_file, &trajectory)?;
         let mut pieces: BTreeMap<i64, Vec<Piece>> = BTreeMap::new();
         for (number, file) in files.iter().enumerate() {
             index(file, number, &mut pieces)?;
@@ -169,6 +172,28 @@ mod reading {
             notes,
             read: Box::new(move |index| along.read(&refs, index, &places[index])),
         })
+    }
+
+    /// Refuses a trajectory that is far from all points: it lies in another world.
+    fn check_world(files: &[PathBuf], pose_file: &Path, trajectory: &Trajectory) -> Result<()> {
+        let mut nearest = f64::INFINITY;
+        for file in files {
+            let las::Bounds { min, max } = reader(file)?.header().bounds();
+            let (low, high) = (DVec3::new(min.x, min.y, min.z), DVec3::new(max.x, max.y, max.z));
+            for pose in trajectory.poses() {
+                let place = pose.translation;
+                nearest = nearest.min(place.distance(place.max(low).min(high)));
+            }
+        }
+        if nearest.is_finite() && nearest > FAR_M {
+            let reason = format!(
+                "is {:.0} km from the points: both must lie in one world (of latitudes and longitudes, the first is the origin, and of a \
+                 projection such as UTM, another place)",
+                nearest * 1e-3
+            );
+            return Err(Error::dataset(pose_file, reason));
+        }
+        Ok(())
     }
 
     fn wrong(path: &Path) -> impl Fn(las::Error) -> Error {

@@ -32,6 +32,7 @@ mod listed;
 pub mod log;
 pub mod map_file;
 pub mod mesh;
+mod mounted;
 mod mulran;
 pub mod nav2;
 mod nclt;

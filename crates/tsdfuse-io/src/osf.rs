@@ -2,7 +2,7 @@
 //!
 //! A file has a header, chunks of messages, and a directory of them at its end. It is gone through once when it is opened, for
 //! times and poses; a scan is decoded when it is read, from its chunk. If its columns have poses that are not all the identity (as
-//! the SDK's SLAM writes them), they are used: those of the first and the last column.
+//! the SDK's SLAM writes them), they are used. They are those of the body on which the metadata's extrinsic places the sensor.
 
 mod image;
 
@@ -10,20 +10,22 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use tsdfuse::glam::DMat4;
+use tsdfuse::glam::{DMat4, DVec4};
 use tsdfuse::scan::{Dropped, PoseAt};
 use tsdfuse::trajectory::secs_between;
-use tsdfuse::{Pose, Scan};
+use tsdfuse::{Pose, Scan, Trajectory};
 use tsdfuse_packets::ouster::{Beams, Metadata};
 
 use crate::error::{Error, Result};
-use crate::files::ScanFile;
 use crate::flatbuffer::Table;
-use crate::poses;
+use crate::mounted::Mounted;
 use crate::source::{OpenOptions, ScanRef, Sensor, Source};
+use crate::{placed, poses};
 
 /// More sensors than any file has.
 const MAX_SENSORS: usize = 64;
+/// Poses that tell how the body moved during a scan.
+const KNOTS: usize = 8;
 /// A pixel's range and what its intensity is, as OSF numbers fields: the range, the second one, signal, reflectivity.
 const RANGES: [u8; 2] = [1, 2];
 const SIGNALS: [u8; 2] = [3, 4];
@@ -44,6 +46,10 @@ pub(crate) struct Osf {
     scans: Vec<ScanRef>,
     /// Chunk, and number of the message there, of each scan.
     places: Vec<(u64, usize)>,
+    /// Whether the poses are those of the columns.
+    has_own_poses: bool,
+    /// Of a pose file.
+    trajectory: Option<Trajectory>,
     notes: Vec<String>,
 }
 
@@ -124,7 +130,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Osf> {
                 name: String::new(),
                 sensor,
                 time_ns: Some(columns.times_ns[first]),
-                pose: columns.poses().map(|[pose, _]| pose),
+                pose: columns.pose(first),
             };
             found.push((reference, (at, number)));
         }
@@ -139,14 +145,26 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Osf> {
             _ => format!("{name}-{}", i + 1),
         });
     let names: Vec<String> = names.collect();
-    let is_kept = |i: usize| options.sensors.is_empty() || names.len() == 1 || options.sensors.contains(&names[i]);
-    let kept: Vec<usize> = (0..names.len()).filter(|&i| is_kept(i)).collect();
-    if kept.is_empty() {
+    let is_asked = |i: &usize| options.sensors.is_empty() || names.len() == 1 || options.sensors.contains(&names[*i]);
+    let asked: Vec<usize> = (0..names.len()).filter(is_asked).collect();
+    if asked.is_empty() {
         return Err(Error::dataset(
             path,
             format!("has no such sensor; there are: {}", names.join(", ")),
         ));
     }
+    // Nobody has computed them, if all are the identity.
+    let has_own_poses = options.poses.is_none()
+        && found.iter().all(|(scan, _)| scan.pose.is_some())
+        && found.iter().any(|(scan, _)| scan.pose != Some(Pose::IDENTITY));
+    let of_asked = |f: &dyn Fn(usize) -> usize| asked.iter().map(|&i| f(i)).collect::<Vec<_>>();
+    let amounts = of_asked(&|i| found.iter().filter(|(scan, _)| scan.sensor == i).count());
+    let told: Vec<Option<Pose>> = asked.iter().map(|&i| metadata[i].1.body_from_sensor).collect();
+    let asked_names: Vec<String> = asked.iter().map(|&i| names[i].clone()).collect();
+    let has_poses = has_own_poses || options.poses.is_some();
+    let mounted = Mounted::choose(path, &asked_names, &amounts, &told, has_poses, options)?;
+    let kept = asked.iter().zip(&mounted.is_kept).filter(|(_, is_kept)| **is_kept);
+    let kept: Vec<usize> = kept.map(|(i, _)| *i).collect();
     found.retain(|(scan, _)| kept.contains(&scan.sensor));
     let several = kept.len() > 1;
     for (i, (scan, _)) in found.iter_mut().enumerate() {
@@ -157,32 +175,27 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Osf> {
             format!("scan {i}")
         };
         scan.sensor = kept.iter().position(|&i| i == scan.sensor).unwrap_or(0);
+        let sitting = mounted.body_from_sensor.get(scan.sensor).copied().unwrap_or_default();
+        scan.pose = scan.pose.filter(|_| has_own_poses).map(|pose| pose * sitting);
     }
-    let sensors = kept.iter().map(|&i| Sensor {
-        model: metadata[i].1.model(metadata[i].1.columns_per_frame as u32),
-        body_from_sensor: options.extrinsics.unwrap_or_default(),
-        ..Sensor::new(&names[i])
-    });
+    let sensors = kept
+        .iter()
+        .zip(mounted.body_from_sensor)
+        .map(|(&i, body_from_sensor)| Sensor {
+            model: metadata[i].1.model(metadata[i].1.columns_per_frame as u32),
+            body_from_sensor,
+            ..Sensor::new(&names[i])
+        });
     let sensors: Vec<Sensor> = sensors.collect();
-    let (mut scans, places): (Vec<ScanRef>, Vec<_>) = found.into_iter().unzip();
-    if let Some(file) = &options.poses {
-        let files: Vec<ScanFile> = scans
-            .iter()
-            .map(|scan| ScanFile {
-                path: path.to_owned(),
-                name: scan.name.clone(),
-            })
-            .collect();
-        let times_ns = scans.iter().map(|scan| scan.time_ns).collect();
-        for (scan, (pose, _)) in scans
-            .iter_mut()
-            .zip(poses::place(file, &poses::read(file)?, &files, times_ns)?)
-        {
-            scan.pose = Some(pose * sensors[scan.sensor].body_from_sensor);
-        }
-    } else if scans.iter().all(|scan| scan.pose == Some(Pose::IDENTITY)) {
-        // Nobody has computed them.
-        scans.iter_mut().for_each(|scan| scan.pose = None);
+    let (mut scans, mut places): (Vec<ScanRef>, Vec<_>) = found.into_iter().unzip();
+    let (mut trajectory, mut notes) = (None, mounted.notes);
+    if scans.is_empty() {
+        notes.push("there are no scans in it".to_owned());
+    } else if let Some(file) = &options.poses {
+        let poses = poses::read(file)?;
+        let (timed, note) = placed::by_file(path, file, poses, &sensors, &mut scans, &mut places)?;
+        trajectory = timed;
+        notes.extend(note);
     }
     let metadata = kept
         .iter()
@@ -190,14 +203,12 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<Osf> {
     Ok(Osf {
         path: path.to_owned(),
         metadata: metadata.collect(),
-        notes: if scans.is_empty() {
-            vec!["there are no scans in it".to_owned()]
-        } else {
-            Vec::new()
-        },
+        notes,
         sensors,
         scans,
         places,
+        has_own_poses,
+        trajectory,
     })
 }
 
@@ -213,15 +224,10 @@ impl Columns {
         let u64_of = |bytes: &[u8]| bytes.try_into().map_or(0, u64::from_le_bytes);
         let times = scan.vector(2, 8).into_iter().flatten().map(u64_of);
         let status = scan.vector(4, 4).into_iter().flatten();
-        let number = |bytes: &[u8]| bytes.try_into().map_or(0.0, f64::from_le_bytes);
-        let poses = scan.vector(6, 128).into_iter().flatten().map(|bytes| {
-            let mut matrix = [0.0; 16];
-            matrix
-                .iter_mut()
-                .zip(bytes.chunks_exact(8))
-                .for_each(|(to, bytes)| *to = number(bytes));
-            matrix
-        });
+        let numbers = scan.vector(6, 8).into_iter().flatten();
+        let numbers: Vec<f64> = numbers
+            .map(|bytes| bytes.try_into().map_or(0.0, f64::from_le_bytes))
+            .collect();
         let times_ns: Vec<i64> = times.map(|ns| i64::try_from(ns).unwrap_or(i64::MAX)).collect();
         let mut is_valid: Vec<bool> = status
             .map(|status| status.first().is_some_and(|status| status & 1 != 0))
@@ -230,7 +236,7 @@ impl Columns {
         Self {
             times_ns,
             is_valid,
-            poses: poses.collect(),
+            poses: numbers.as_chunks().0.to_vec(),
         }
     }
 
@@ -240,15 +246,32 @@ impl Columns {
         Some((first, self.is_valid.iter().rposition(|valid| *valid)?))
     }
 
-    /// The poses of these.
-    fn poses(&self) -> Option<[Pose; 2]> {
-        let pose = |column: usize| {
-            let (_, rotation, translation) =
-                DMat4::from_cols_array(self.poses.get(column)?).to_scale_rotation_translation();
-            Pose::new(rotation, translation).ok()
+    /// Where the body was at a column. Matrices lie row by row, those of old files column by column.
+    fn pose(&self, column: usize) -> Option<Pose> {
+        let matrix = DMat4::from_cols_array(self.poses.get(column)?);
+        let is_by_rows = matrix.w_axis == DVec4::W;
+        let (_, rotation, translation) =
+            if is_by_rows { matrix.transpose() } else { matrix }.to_scale_rotation_translation();
+        Pose::new(rotation, translation).ok()
+    }
+
+    /// How the body moved from the first column to the last, which is measured `secs_of` after the scan's time.
+    fn motion(&self, secs_of: impl Fn(usize) -> f64) -> Vec<PoseAt> {
+        let Some((first, last)) = self.ends() else {
+            return Vec::new();
         };
-        let (first, last) = self.ends()?;
-        Some([pose(first)?, pose(last)?])
+        let knots = (1..=KNOTS).map(|k| first + (last - first) * k / KNOTS);
+        let moved = knots.filter_map(|column| {
+            let (secs, pose) = (secs_of(column), self.pose(column)?);
+            (secs > 0.0).then_some(PoseAt { secs, pose })
+        });
+        let mut moved: Vec<PoseAt> = moved.collect();
+        moved.dedup_by(|later, before| later.secs <= before.secs);
+        let begin = self.pose(first);
+        if moved.iter().all(|at| Some(at.pose) == begin) {
+            moved.clear();
+        }
+        moved
     }
 }
 
@@ -292,7 +315,11 @@ pub(crate) fn parse_part(bytes: &[u8]) {
             .flatten()
         {
             let columns = Columns::of(&scan);
-            let _ = (columns.ends(), columns.poses(), field(&scan, RANGES[0], 8, 8));
+            let _ = (
+                columns.pose(0),
+                columns.motion(|column| column as f64),
+                field(&scan, RANGES[0], 8, 8),
+            );
         }
     }
 }
@@ -374,16 +401,15 @@ impl Osf {
             ..Dropped::default()
         };
         scan.pose = reference.pose;
-        if let (Some([from, to]), Some(_)) = (
-            columns.poses().filter(|[from, _]| Some(*from) == reference.pose),
-            reference.pose,
-        ) {
-            let secs = secs_between(begin_ns, columns.times_ns[last]);
-            scan.motion = (from != to && secs > 0.0)
-                .then_some(PoseAt { secs, pose: to })
-                .into_iter()
-                .collect();
-        }
+        let sitting = self.sensors[reference.sensor].body_from_sensor;
+        scan.motion = if self.has_own_poses {
+            let mut motion = columns.motion(|column| secs_between(begin_ns, columns.times_ns[column]));
+            motion.iter_mut().for_each(|at| at.pose = at.pose * sitting);
+            motion
+        } else {
+            let times = scan.times.as_deref().unwrap_or_default();
+            placed::motion(&self.scans, index, times, self.trajectory.as_ref(), &sitting)
+        };
         Ok(scan)
     }
 }
@@ -405,6 +431,10 @@ impl Source for Osf {
         let name = &self.scans[index].name;
         self.decode(index)
             .map_err(|reason| Error::format(&self.path, format!("{name}: {reason}")))
+    }
+
+    fn trajectory(&self) -> Option<&Trajectory> {
+        self.trajectory.as_ref()
     }
 
     fn notes(&self) -> &[String] {

@@ -1,14 +1,71 @@
-//! How a sensor moves during its scans, from the poses of scans or a trajectory.
+//! Where a sensor is at the times of its scans, and how it moves during them, from the poses of scans or a trajectory.
+
+use std::path::Path;
 
 use tsdfuse::scan::PoseAt;
 use tsdfuse::trajectory::{ns_after, secs_between};
 use tsdfuse::{Pose, Trajectory};
 
-use crate::poses;
-use crate::source::ScanRef;
+use crate::error::{Error, Result};
+use crate::files::ScanFile;
+use crate::poses::{self, Poses};
+use crate::source::{ScanRef, Sensor};
 
 /// The longest time between two scans over which the sensor is taken to move steadily, seconds.
 pub const MAX_STEP_SECS: f64 = 1.0;
+
+/// Gives the scans of a recording the poses of a file. Those at whose times it has none are taken out, and their places with them. Returns the
+/// poses over time, and a sentence if scans were taken out.
+///
+/// # Errors
+/// If no scan has a pose.
+pub(crate) fn by_file<T>(
+    log: &Path,
+    file: &Path,
+    poses: Poses,
+    sensors: &[Sensor],
+    scans: &mut Vec<ScanRef>,
+    places: &mut Vec<T>,
+) -> Result<(Option<Trajectory>, Option<String>)> {
+    let all = scans.len();
+    let times_ns: Option<Vec<i64>> = scans.iter().map(|scan| scan.time_ns).collect();
+    let (trajectory, found): (_, Vec<Option<Pose>>) = match (poses, times_ns) {
+        (Poses::Timed(trajectory), Some(times_ns)) => {
+            let found: Vec<_> = times_ns.iter().map(|&time| poses::at(&trajectory, time).ok()).collect();
+            if let (Some(first), Some(last)) = (times_ns.iter().min(), times_ns.iter().max())
+                && found.iter().all(Option::is_none)
+            {
+                let (from, to) = trajectory.span_ns();
+                let [from, to, first, last] = [from, to, *first, *last].map(|time_ns| secs_between(0, time_ns));
+                let reason =
+                    format!("has poses from {from:.3} to {to:.3} s, and the scans are from {first:.3} to {last:.3} s");
+                return Err(Error::dataset(file, reason));
+            }
+            (Some(trajectory), found)
+        }
+        (poses, times_ns) => {
+            let named = scans.iter().map(|scan| ScanFile {
+                path: log.to_owned(),
+                name: scan.name.clone(),
+            });
+            let found = poses::place(file, &poses, &named.collect::<Vec<_>>(), times_ns)?;
+            (None, found.into_iter().map(|(pose, _)| Some(pose)).collect())
+        }
+    };
+    for (scan, pose) in scans.iter_mut().zip(found) {
+        let body_from_sensor = sensors.get(scan.sensor).map_or(Pose::IDENTITY, |s| s.body_from_sensor);
+        scan.pose = match pose {
+            Some(pose) if body_from_sensor != Pose::IDENTITY => Some(pose * body_from_sensor),
+            pose => pose,
+        };
+    }
+    let mut placed = scans.iter().map(|scan| scan.pose.is_some());
+    places.retain(|_| placed.next().unwrap_or(false));
+    scans.retain(|scan| scan.pose.is_some());
+    let left_out = all - scans.len();
+    let note = format!("{left_out} of {all} scans are left out: there are no poses at their times");
+    Ok((trajectory, Some(note).filter(|_| left_out > 0)))
+}
 
 /// How the sensor moves while scan `index` measures points at `times`: as the trajectory says, or the poses of the scans around it,
 /// if there is no gap; otherwise through the pose of the next scan, or of the one before if the next is farther away than

@@ -2,7 +2,7 @@
 //!
 //! Files are told apart by their content: **KITTI** (lines of 12 numbers, the row-major 3×4 matrix `[R | t]`), the same with a time
 //! in front (13 numbers), **TUM** (8 numbers, `secs x y z qx qy qz qw`; also with ms, µs or ns since 1970), a table whose
-//! first line names its columns, and pose graphs of g2o. Blank lines and lines that start with `#` are skipped.
+//! first line names its columns, pose graphs of g2o, and SBET, whose records are binary. Blank lines and lines that start with `#` are skipped.
 //!
 //! Which pose belongs to which scan:
 //!
@@ -26,6 +26,7 @@ use crate::g2o;
 use crate::text::{self, Line};
 
 mod geodesy;
+mod sbet;
 mod table;
 mod write;
 
@@ -95,6 +96,9 @@ pub fn read_all(path: impl AsRef<Path>) -> Result<Vec<Pose>> {
 /// # Errors
 /// Names the file, the line and the reason.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Poses> {
+    if sbet::recognises(bytes) {
+        return sbet::parse(path, bytes);
+    }
     if let Some(header) = table::Header::find(bytes) {
         return header.parse(path, bytes);
     }
@@ -179,10 +183,10 @@ fn timed_pose(line: &Line, numbers: &[f64]) -> Result<(i64, Pose)> {
 }
 
 /// The pose file of a data set: `poses.txt`, `poses.tum`, another `*.tum`, `*poses*.txt`, `traj*.txt`, `groundtruth*.txt`,
-/// the name of a sequence, `00.txt`, one of these as `.csv`, or `*.g2o`; the first kind of which there is one.
+/// the name of a sequence, `00.txt`, one of these as `.csv`, `*.sbet` or `sbet*.out`, or `*.g2o`; the first kind of which there is one.
 pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>> {
     type Kind = fn(&str) -> bool;
-    let kinds: [Kind; 9] = [
+    let kinds: [Kind; 10] = [
         |n| n == "poses.txt",
         |n| n == "poses.tum",
         |n| n.ends_with(".tum"),
@@ -199,6 +203,7 @@ pub(crate) fn find(folder: &Path) -> Result<Option<PathBuf>> {
                     .iter()
                     .any(|word| n.contains(word))
         },
+        |n| n.ends_with(".sbet") || n.starts_with("sbet") && n.ends_with(".out"),
         |n| n.ends_with(".g2o"),
     ];
     let names = files::names(folder)?;

@@ -125,10 +125,13 @@ impl Udp {
         };
         let sensor = Sensor {
             model: decoder.model(),
-            body_from_sensor: options.extrinsics.unwrap_or_default(),
+            body_from_sensor: options
+                .extrinsics
+                .or(calibration.body_from_sensor())
+                .unwrap_or_default(),
             ..Sensor::new(model_name)
         };
-        let mut notes = vec![format!("packets of a {} come from {from}", sensor.name)];
+        let mut notes = vec![format!("{} packets come from {from}", sensor.name)];
         notes.extend(decoder.notes());
         let (shared, news) = (Arc::new(Shared::default()), News::default());
         let receiver = Receiver {

@@ -1,5 +1,7 @@
 //! Angles and offsets of one sensor, from the maker's files.
 
+use tsdfuse::Pose;
+
 use crate::error::{PacketError, Result};
 use crate::{hesai, ouster, velodyne};
 
@@ -18,6 +20,14 @@ pub enum Calibration {
 }
 
 impl Calibration {
+    /// Where the sensor sits on what carries it, where the file tells: Ouster's SDK keeps that with the metadata.
+    pub fn body_from_sensor(&self) -> Option<Pose> {
+        match self {
+            Self::Ouster(metadata) => metadata.body_from_sensor,
+            _ => None,
+        }
+    }
+
     /// Reads a calibration; what kind it is, is seen from its content.
     ///
     /// # Errors

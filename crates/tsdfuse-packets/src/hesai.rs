@@ -228,10 +228,7 @@ impl Packets for Hesai {
     fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         if self.is_nominal {
-            notes.push(format!(
-                "no calibration: the angles are a {}'s nominal ones",
-                self.sensor.name()
-            ));
+            notes.push(self.sensor.nominal_note());
         }
         if self.bad_clock {
             notes.push("packets with an impossible date: their times are those at which they were received".to_owned());

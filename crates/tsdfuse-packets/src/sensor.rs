@@ -131,6 +131,14 @@ impl Sensor {
         }
     }
 
+    /// What is told where the sensor's own angles are not known.
+    pub(crate) fn nominal_note(self) -> String {
+        format!(
+            "no calibration: the angles are a {}'s nominal ones; --calibration FILE gives this sensor's own",
+            self.name()
+        )
+    }
+
     /// The sensor that sends packets like this one, as far as length, marks and the bytes for it tell.
     pub fn recognise(payload: &[u8]) -> Option<Self> {
         let hesai = || hesai::recognise(payload);

@@ -367,8 +367,7 @@ impl Packets for Velodyne {
     }
 
     fn notes(&self) -> Vec<String> {
-        let nominal = || format!("no calibration: the angles are a {}'s nominal ones", self.sensor.name());
-        self.is_nominal.then(nominal).into_iter().collect()
+        Vec::from_iter(self.is_nominal.then(|| self.sensor.nominal_note()))
     }
 }
 

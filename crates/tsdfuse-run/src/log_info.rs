@@ -45,6 +45,8 @@ pub struct LogInfo {
     pub rate_hz: Option<f64>,
     /// From the first scan to the last.
     pub duration_secs: Option<f64>,
+    /// How many of the scans have a pose.
+    pub placed_scans: usize,
     /// Length of the line through all poses.
     pub path_length_m: f64,
     /// What the scans that were read have in them.
@@ -120,6 +122,7 @@ impl LogInfo {
             camera: first.and_then(|sensor| sensor.camera),
             rate_hz: rate_hz(log.scans()),
             duration_secs: duration_secs(log.scans()),
+            placed_scans: log.scans().iter().filter(|scan| scan.pose.is_some()).count(),
             path_length_m: path_length_m(log.scans()),
             sample: Sample::default(),
             trajectory_poses: log.trajectory().map(|trajectory| trajectory.poses().len()),

@@ -15,7 +15,8 @@ pub(super) fn table(info: &LogInfo) -> String {
     rows.add("log", format!("{} ({})", info.path.display(), info.format));
     match &info.camera {
         Some(camera) => rows.add("camera", camera_line(camera)),
-        None => rows.add("sensor", sensor_line(info)),
+        None if info.scans > 0 => rows.add("sensor", sensor_line(info)),
+        None => {}
     }
     let correction = &info.correction;
     if correction.elevation_deg != 0.0 {
@@ -34,18 +35,60 @@ pub(super) fn table(info: &LogInfo) -> String {
         rows.add("beams", format!("{} are corrected one by one", correction.beams.len()));
     }
     rows.add("scans", scans_line(info));
-    rows.add("path", format!("{:.1} m", info.path_length_m));
+    if info.placed_scans > 0 {
+        rows.add("path", format!("{:.1} m", info.path_length_m));
+    }
+    if sample.scans > 0 {
+        sample_rows(info, &mut rows);
+    }
+    if info.sensors.len() > 1 {
+        rows.add("sensors", info.sensors.join(", "));
+    }
+    if info.scans > 0 && info.placed_scans == 0 {
+        rows.add(
+            "poses",
+            "none: fuse finds them by odometry, or --poses FILE supplies them",
+        );
+    }
+    if let Some(poses) = info.trajectory_poses {
+        rows.add("trajectory", format!("{} poses", HumanCount(poses as u64)));
+    }
+    for (name, count) in [
+        ("IMU samples", info.imu_samples),
+        ("images", info.images),
+        ("GNSS fixes", info.gnss_fixes),
+    ] {
+        if count > 0 {
+            rows.add(name, HumanCount(count as u64));
+        }
+    }
+    if let Some(Recorded { topics, conclusions }) = &info.recorded {
+        topics.iter().for_each(|topic| rows.add("topic", topic_line(topic)));
+        for (subject, text) in conclusions {
+            rows.add(subject, text);
+        }
+    }
+    info.notes.iter().for_each(|note| rows.add("note", note));
+    let unreadable = sample.unreadable.iter();
+    unreadable.for_each(|reason| rows.add("unreadable", reason));
+    rows.finish()
+}
+
+/// What is in the scans that were read.
+fn sample_rows(info: &LogInfo, rows: &mut Rows) {
+    let sample = &info.sample;
     let read = match sample.scans {
         n if n == info.scans => "all scans".to_owned(),
         n => format!("{n} of {} scans", info.scans),
     };
     let Points { min, mean, max } = &sample.points;
-    let (min, max) = (HumanCount(*min), HumanCount(*max));
-    let mean = HumanCount(mean.round() as u64);
-    rows.add(
-        "points",
-        format!("{min} to {max} a scan, {mean} on average ({read} read)"),
-    );
+    let counts = if min == max {
+        format!("{} a scan", HumanCount(*min))
+    } else {
+        let (min, max, mean) = (HumanCount(*min), HumanCount(*max), HumanCount(mean.round() as u64));
+        format!("{min} to {max} a scan, {mean} on average")
+    };
+    rows.add("points", format!("{counts} ({read} read)"));
     rows.add(
         "left out",
         match counted(&sample.invalid) {
@@ -74,31 +117,6 @@ pub(super) fn table(info: &LogInfo) -> String {
         };
         rows.add(name, which);
     }
-    if info.sensors.len() > 1 {
-        rows.add("sensors", info.sensors.join(", "));
-    }
-    if let Some(poses) = info.trajectory_poses {
-        rows.add("trajectory", format!("{} poses", HumanCount(poses as u64)));
-    }
-    for (name, count) in [
-        ("IMU samples", info.imu_samples),
-        ("images", info.images),
-        ("GNSS fixes", info.gnss_fixes),
-    ] {
-        if count > 0 {
-            rows.add(name, HumanCount(count as u64));
-        }
-    }
-    if let Some(Recorded { topics, conclusions }) = &info.recorded {
-        topics.iter().for_each(|topic| rows.add("topic", topic_line(topic)));
-        for (subject, text) in conclusions {
-            rows.add(subject, text);
-        }
-    }
-    info.notes.iter().for_each(|note| rows.add("note", note));
-    let unreadable = sample.unreadable.iter();
-    unreadable.for_each(|reason| rows.add("unreadable", reason));
-    rows.finish()
 }
 
 fn camera_line(camera: &Pinhole) -> String {
@@ -117,7 +135,7 @@ fn camera_line(camera: &Pinhole) -> String {
 
 fn sensor_line(info: &LogInfo) -> String {
     let Some(sensor) = &info.sensor else {
-        return "not known".to_owned();
+        return "not known: --sensor NAME, or a FILE.toml, tells its beams".to_owned();
     };
     let low = sensor.elevations_deg.first().copied().unwrap_or_default();
     let high = sensor.elevations_deg.last().copied().unwrap_or_default();
@@ -136,7 +154,8 @@ fn topic_line(topic: &Topic) -> String {
     let Topic {
         name, kind, messages, ..
     } = topic;
-    let mut line = format!("{name} ({kind}), {} messages", HumanCount(*messages as u64));
+    let plural = if *messages == 1 { "" } else { "s" };
+    let mut line = format!("{name} ({kind}), {} message{plural}", HumanCount(*messages as u64));
     if let Some(rate) = topic.rate_hz {
         line += &format!(", {rate:.1} Hz");
         if let Some(gap) = topic.longest_gap_secs.filter(|gap| gap * rate > 2.5) {
@@ -150,6 +169,9 @@ fn topic_line(topic: &Topic) -> String {
 }
 
 fn scans_line(info: &LogInfo) -> String {
+    if info.scans < 2 {
+        return info.scans.to_string();
+    }
     let secs = info.duration_secs.map(|secs| format!(" in {secs:.2} s"));
     let rate = info.rate_hz.map(|rate| format!(", {rate:.2} Hz"));
     let timed = secs.unwrap_or_else(|| ", without times".to_owned());

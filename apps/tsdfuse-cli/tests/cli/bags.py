@@ -1,6 +1,6 @@
 """Writes a plain folder as recordings with PyPI's `rosbags` and `mcap`, and compares the meshes of two logs.
 
-    bags.py write FOLDER KIND OUT      KIND: ros1, db3, db3-zstd, mcap, mcap-lz4, mcap-zstd, plain-mcap (MCAP's own library, zstd)
+    bags.py write FOLDER KIND OUT      KIND: ros1, ros1-lz4, ros1-bz2, db3, db3-zstd, mcap, mcap-zstd, plain-mcap-lz4, plain-mcap-zstd (MCAP's own library)
     bags.py compare A.ply B.ply        vertices of both, and the largest distance from one to the nearest of the other
 
 At each time, tf knows one pose. PandaSet's sweeps overlap by 3 ms, and the reader finds the motion of each by itself. So each sweep is written 4 ms later
@@ -76,14 +76,14 @@ def write_rosbags(folder, kind, out):
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Writer2
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    types = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+    types = get_typestore(Stores.ROS1_NOETIC if kind.startswith("ros1") else Stores.ROS2_HUMBLE)
     if "tf2_msgs/msg/TFMessage" not in types.types:
         types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
     make = lambda name, /, *args, **kw: types.types[name](*args, **kw)
 
     def header(t, frame):
         stamp = make("builtin_interfaces/msg/Time", sec=t // 10**9, nanosec=t % 10**9)
-        return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **({"seq": 0} if kind == "ros1" else {}))
+        return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **({"seq": 0} if kind.startswith("ros1") else {}))
 
     def messages():
         for stamp, columns, tf in sweeps(folder):
@@ -100,8 +100,10 @@ def write_rosbags(folder, kind, out):
                 is_bigendian=False, point_step=table.itemsize, row_step=table.nbytes, data=np.frombuffer(table.tobytes(), np.uint8),
                 is_dense=True)
 
-    if kind == "ros1":
+    if kind.startswith("ros1"):
         writer, serialize = Writer1(out), types.serialize_ros1
+        if kind != "ros1":
+            writer.set_compression(Writer1.CompressionFormat[kind.removeprefix("ros1-").upper()])
     else:
         plugin = StoragePlugin.MCAP if kind.startswith("mcap") else StoragePlugin.SQLITE3
         writer, serialize = Writer2(out, version=9, storage_plugin=plugin), types.serialize_cdr
@@ -116,8 +118,9 @@ def write_rosbags(folder, kind, out):
             writer.write(topics[topic], t, serialize(message, name))
 
 
-def write_mcap(folder, out):
-    """With MCAP's own library, with chunks of zstd."""
+def write_mcap(folder, compression, out):
+    """With MCAP's own library, in compressed chunks."""
+    from mcap.writer import CompressionType
     from mcap_ros2.writer import Writer
 
     point_cloud2 = (
@@ -137,7 +140,7 @@ def write_mcap(folder, out):
         "================\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
     )
     header = lambda t, frame: {"stamp": {"sec": t // 10**9, "nanosec": t % 10**9}, "frame_id": frame}
-    with open(out, "wb") as file, Writer(file) as writer:
+    with open(out, "wb") as file, Writer(file, compression=CompressionType[compression.upper()]) as writer:
         clouds = writer.register_msgdef("sensor_msgs/msg/PointCloud2", point_cloud2)
         transforms = writer.register_msgdef("tf2_msgs/msg/TFMessage", tf_message)
         for stamp, columns, tf in sweeps(folder):
@@ -184,8 +187,8 @@ def compare(a, b):
 
 if __name__ == "__main__":
     match sys.argv[1:]:
-        case ["write", folder, "plain-mcap", out]:
-            write_mcap(pathlib.Path(folder), out)
+        case ["write", folder, "plain-mcap-lz4" | "plain-mcap-zstd" as kind, out]:
+            write_mcap(pathlib.Path(folder), kind.removeprefix("plain-mcap-"), out)
         case ["write", folder, kind, out]:
             write_rosbags(pathlib.Path(folder), kind, pathlib.Path(out))
         case ["compare", a, b]:

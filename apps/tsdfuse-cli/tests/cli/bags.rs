@@ -11,9 +11,12 @@ const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/bags.py");
 /// Kinds of recordings that `bags.py` writes, and the ends of their names.
 const KINDS: &[(&str, &str)] = &[
     ("ros1", ".bag"),
+    ("ros1-lz4", ".bag"),
+    ("ros1-bz2", ".bag"),
     ("mcap", ""),
     ("mcap-zstd", ""),
-    ("plain-mcap", ".mcap"),
+    ("plain-mcap-lz4", ".mcap"),
+    ("plain-mcap-zstd", ".mcap"),
     #[cfg(feature = "db3")]
     ("db3", ""),
     #[cfg(feature = "db3")]

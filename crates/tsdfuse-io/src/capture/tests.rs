@@ -145,21 +145,28 @@ fn sensors_are_told_apart_by_where_they_send_from() {
         .chain(a.into_iter().zip(b).flat_map(|(a, b)| [a, b]))
         .collect();
     let (_folder, path) = written(&pcap(&frames));
-    let log = opened(&path);
-    let names: Vec<_> = log.sensors().iter().map(|s| s.name.as_str()).collect();
-    assert_eq!(names, ["vlp16@10.0.0.1:2368", "vlp16@10.0.0.2:2368"]);
-    assert_eq!(log.len(), Some(6));
+    let names = ["vlp16@10.0.0.1:2368", "vlp16@10.0.0.2:2368"];
+    let named = |names: &[&str]| {
+        let options = OpenOptions {
+            sensors: names.iter().map(|&name| name.to_owned()).collect(),
+            ..Default::default()
+        };
+        crate::open_with(&path, &options).unwrap()
+    };
+    // Nobody tells where one sits relative to the other.
+    let first = named(&[]);
+    assert_eq!((first.len(), first.sensors()[0].name.as_str()), (Some(3), names[0]));
+    let note = format!(
+        "{} is not read: where it sits relative to {} is not told; --sensor {} would choose it",
+        names[1], names[0], names[1]
+    );
+    assert!(first.notes().contains(&note), "{:?}", first.notes());
+    let log = named(&names);
+    assert_eq!((log.len(), log.sensors().len()), (Some(6), 2));
     let order: Vec<_> = log.scans().iter().map(|s| s.sensor).collect();
     assert!(log.scans().is_sorted_by_key(|s| s.time_ns) && order.contains(&0) && order.contains(&1));
     assert!(log.notes().iter().any(|note| note == "1 other datagrams are left out"));
-    let one = crate::open_with(
-        &path,
-        &OpenOptions {
-            sensors: vec![names[1].to_owned()],
-            ..Default::default()
-        },
-    )
-    .unwrap();
+    let one = named(&names[1..]);
     assert_eq!((one.len(), one.sensors().len()), (Some(3), 1));
     let none = crate::open_with(
         &path,

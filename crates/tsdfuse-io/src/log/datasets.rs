@@ -272,6 +272,23 @@ fn las_with_a_trajectory_is_seen_from_where_the_scanner_was() {
     };
     assert!(message("surveys/drive.las", &listed).contains("does not tell where the scanner was"));
     checked("surveys/scans", "LAZ folder", 2, 1e-3);
+    // Around the first latitude and longitude, where the points are in UTM.
+    let dir = tempfile::tempdir().unwrap();
+    let geographic = dir.path().join("ins.csv");
+    std::fs::write(
+        &geographic,
+        "t,lat,lon,alt,roll,pitch,heading\n0,48,11,500,0,0,0\n9,48,11,500,0,0,0\n",
+    )
+    .unwrap();
+    let elsewhere = OpenOptions {
+        poses: Some(geographic),
+        ..OpenOptions::default()
+    };
+    let told = message("surveys/drive.las", &elsewhere);
+    assert!(
+        told.contains("km from the points: both must lie in one world"),
+        "{told}"
+    );
 }
 
 #[cfg(feature = "e57")]

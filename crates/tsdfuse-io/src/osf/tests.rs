@@ -62,6 +62,68 @@ fn scans_are_as_in_the_sdk() {
     }
 }
 
+/// Two sensors that the SDK placed on a vehicle, and the vehicle at each column: `testdata/osf/make.py`.
+#[test]
+fn sensors_are_where_extrinsics_and_poses_of_columns_place_them() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/osf/posed.osf");
+    // How far the farthest return is off the wall x = 20 m.
+    let off = |log: &crate::Log| {
+        let scans = (0..log.len().unwrap()).map(|index| log.read(index).unwrap());
+        let points = scans.flat_map(|scan| scan.points_in_world().unwrap().collect::<Vec<_>>());
+        points.fold(0.0, |most: f64, p| most.max((p.x - 20.0).abs()))
+    };
+    let log = crate::open(&path).unwrap();
+    let names: Vec<String> = log.sensors().iter().map(|sensor| sensor.name.clone()).collect();
+    assert_eq!((log.len(), names.len()), (Some(4), 2));
+    assert!((0..4).all(|index| log.read(index).unwrap().points.len() > 400));
+    assert!(off(&log) < 1e-3, "{}", off(&log));
+    assert!(
+        log.notes()
+            .iter()
+            .any(|note| note.ends_with("are read together; --sensor chooses"))
+    );
+    let opened = |extrinsics: Option<Pose>| {
+        let options = OpenOptions {
+            sensors: vec![names[1].clone()],
+            extrinsics,
+            ..Default::default()
+        };
+        crate::open_with(&path, &options).unwrap()
+    };
+    let one = opened(None);
+    assert!(one.len() == Some(2) && off(&one) < 1e-3);
+    // Elsewhere, the wall is another.
+    assert!(off(&opened(Some(Pose::IDENTITY))) > 1.0);
+    // Poses of a file place the vehicle, too; scans that it does not cover are left out.
+    let folder = tempfile::tempdir().unwrap();
+    let poses = folder.path().join("vehicle.tum");
+    let line = |k: i32| {
+        let t = f64::from(k) / 20.0;
+        let (sin, cos) = (0.05 * t).sin_cos();
+        format!("{:.6} {} {} 0 0 0 {sin} {cos}\n", 1e9 + 0.1 * t, 2.0 * t, 0.3 * t)
+    };
+    std::fs::write(&poses, (0..=60).map(line).collect::<String>()).unwrap();
+    let options = OpenOptions {
+        poses: Some(poses),
+        ..Default::default()
+    };
+    let placed = crate::open_with(&path, &options).unwrap();
+    assert_eq!(placed.len(), Some(4));
+    assert!(off(&placed) < 2e-3, "{}", off(&placed));
+    std::fs::write(
+        folder.path().join("vehicle.tum"),
+        (0..=30).map(line).collect::<String>(),
+    )
+    .unwrap();
+    let part = crate::open_with(&path, &options).unwrap();
+    assert_eq!(part.len(), Some(3));
+    assert!(
+        part.notes()
+            .iter()
+            .any(|note| note.starts_with("1 of 4 scans are left out"))
+    );
+}
+
 /// Damage is told or harmless, wherever it is.
 #[test]
 fn damaged_files_are_bearable() {

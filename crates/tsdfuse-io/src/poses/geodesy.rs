@@ -1,5 +1,7 @@
 //! Positions on the earth in a local frame: metres east, north and up of an origin.
 
+use std::f64::consts::FRAC_PI_2;
+
 use tsdfuse::Pose;
 use tsdfuse::glam::{DMat3, DQuat, DVec3};
 
@@ -36,10 +38,32 @@ impl Geographic {
         }
     }
 
+    /// The pose of a body that is here and turned like this against east, north and up, in the frame east, north and up of the origin: of the
+    /// first place, where there is none yet.
+    ///
+    /// # Errors
+    /// If no place on the earth is there.
+    pub(super) fn body(self, rotation: DQuat, origin: &mut Option<Self>) -> Result<Pose, &'static str> {
+        let [latitude, longitude, height] = [self.latitude_deg, self.longitude_deg, self.height_m].map(f64::abs);
+        if !(latitude <= 90.0 && longitude <= 360.0 && height <= 1e5) {
+            return Err("no place on the earth has this latitude, longitude and height");
+        }
+        let local = self.seen_from(origin.get_or_insert(self));
+        Ok(Pose {
+            rotation: local.rotation * rotation,
+            translation: local.translation,
+        })
+    }
+
     /// The frame east, north, up at this place, in that of an origin. Away from the origin, up is another direction.
     pub(crate) fn seen_from(&self, origin: &Self) -> Pose {
         origin.earth_from_local().inverse() * self.earth_from_local()
     }
+}
+
+/// How a body (x forward, y left, z up) is turned against east, north and up: right side down, nose up, clockwise from north, radians.
+pub(super) fn attitude([roll, pitch, heading]: [f64; 3]) -> DQuat {
+    DQuat::from_rotation_z(FRAC_PI_2 - heading) * DQuat::from_rotation_y(-pitch) * DQuat::from_rotation_x(roll)
 }
 
 #[cfg(test)]

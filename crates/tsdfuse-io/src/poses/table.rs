@@ -17,14 +17,13 @@
 //! The body then has x forward, y left and z up, and the world x east, y north and z up; of latitudes and longitudes, the first one is
 //! its origin. Other columns are passed over.
 
-use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 
 use tsdfuse::glam::{DQuat, DVec3};
 use tsdfuse::{Pose, Trajectory};
 
 use super::Poses;
-use super::geodesy::Geographic;
+use super::geodesy::{Geographic, attitude};
 use crate::error::{Error, Result};
 use crate::text::{self, Line};
 
@@ -236,29 +235,19 @@ impl Header {
                 DQuat::from_rotation_z(yaw) * DQuat::from_rotation_y(pitch) * DQuat::from_rotation_x(roll)
             }
             Rotation::Heading([roll, pitch, heading], unit) => {
-                let [roll, pitch, heading] = [number(roll)? * unit, number(pitch)? * unit, number(heading)? * unit];
-                DQuat::from_rotation_z(FRAC_PI_2 - heading)
-                    * DQuat::from_rotation_y(-pitch)
-                    * DQuat::from_rotation_x(roll)
+                attitude([number(roll)? * unit, number(pitch)? * unit, number(heading)? * unit])
             }
         };
         let pose = Pose::new(rotation, position).map_err(|e| line.error(e))?;
         if !self.is_geographic {
             return Ok(pose);
         }
-        if position.x.abs() > 90.0 || position.y.abs() > 360.0 || position.z.abs() > 1e5 {
-            return Err(line.error("no place on the earth has this latitude, longitude and height"));
-        }
         let here = Geographic {
             latitude_deg: position.x,
             longitude_deg: position.y,
             height_m: position.z,
         };
-        let local = here.seen_from(origin.get_or_insert(here));
-        Ok(Pose {
-            rotation: local.rotation * pose.rotation,
-            translation: local.translation,
-        })
+        here.body(pose.rotation, origin).map_err(|why| line.error(why))
     }
 }
 

@@ -19,6 +19,8 @@ use crate::error::{Error, Result};
 
 /// Clocks that differ by less are taken to be set alike, seconds.
 const SAME_CLOCK_SECS: f64 = 1.0;
+/// Of a recording that is only to be described, so many packets are followed.
+const GLANCE_PACKETS: u64 = 10_000;
 /// At the ends of a recording, sweeps with less than this part of a turn are left out.
 const MOST: f32 = 0.5;
 
@@ -84,7 +86,7 @@ fn metadata(bag: &Bag, topic: &str) -> Option<Calibration> {
 }
 
 impl PacketSweeps {
-    /// Follows all packets of a channel. `told` is the model that was asked for.
+    /// Follows all packets of a channel, or, for a `glance`, the first ones. `told` is the model that was asked for.
     ///
     /// # Errors
     /// If there is none of a sensor that is known, or no calibration where one is needed.
@@ -94,14 +96,25 @@ impl PacketSweeps {
         schema: &Schema,
         calibrations: &Calibrations,
         told: Option<Model>,
+        glance: bool,
     ) -> Result<Self> {
         let topic = bag.channels().get(channel).map_or("", |c| c.topic.as_str());
         let wrong = |why: String| Error::dataset(topic, why);
         let mut index: Option<(Decoder, Model, Calibration)> = None;
         let (mut sweeps, mut open): (Vec<Spot>, Option<Spot>) = (Vec::new(), None);
-        let (mut bad, mut facts) = (0, Vec::new());
-        for (number, entry) in bag.entries(channel).iter().enumerate() {
-            with_message(bag, channel, schema, entry, |message| {
+        let (mut bad, mut facts) = (0_u64, Vec::new());
+        let entries = bag.entries(channel);
+        for (number, entry) in entries.iter().enumerate() {
+            let packets = index.as_ref().map_or(0, |(decoder, ..)| decoder.counts().packets);
+            if glance && packets >= GLANCE_PACKETS {
+                facts.push(format!(
+                    "this is an overview: the packets of {number} of {} messages were followed",
+                    entries.len()
+                ));
+                break;
+            }
+            let mut refused = false;
+            let followed = with_message(bag, channel, schema, entry, |message| {
                 for (k, (received_ns, payload)) in payloads(message, entry.time_ns)?.into_iter().enumerate() {
                     if index.is_none() {
                         let found = Model::recognise(payload);
@@ -122,8 +135,10 @@ impl PacketSweeps {
                             calibration.clone()
                         });
                         let calibration = beside.or_else(|| metadata(bag, topic)).unwrap_or(Calibration::Nominal);
-                        let decoder = Decoder::new(model, calibration.clone())
-                            .map_err(|e| format!("{e}; --calibration names a file"))?;
+                        let decoder = Decoder::new(model, calibration.clone()).map_err(|e| {
+                            refused = true;
+                            format!("{e}; --calibration names a file")
+                        })?;
                         index = Some((decoder, model, calibration));
                     }
                     let Some((decoder, ..)) = &mut index else { continue };
@@ -165,7 +180,12 @@ impl PacketSweeps {
                     }
                 }
                 Ok(())
-            })?;
+            });
+            match followed {
+                // A message that is damaged.
+                Err(Error::Dataset { .. }) if !refused => bad += 1,
+                followed => followed?,
+            }
         }
         sweeps.extend(open);
         let Some((decoder, model, calibration)) = index else {
@@ -191,9 +211,12 @@ impl PacketSweeps {
             format!("{late:.4} s before the packets' stamps")
         };
         let counts = decoder.counts();
+        let also = [(counts.late, "late"), (bad, "damaged or another sensor's")];
+        let also = also.into_iter().filter(|(count, _)| *count > 0);
+        let also: String = also.map(|(count, what)| format!(", {count} {what}")).collect();
         facts.extend([
             format!(
-                "packets of a {}: {}, {} lost, {bad} of none that is known",
+                "{}: {} packets, {} lost{also}",
                 model.name(),
                 counts.packets,
                 counts.lost
@@ -260,7 +283,7 @@ impl PacketSweeps {
         let mut decoder = Decoder::new(self.model, self.calibration.clone()).map_err(|e| wrong(e.to_string()))?;
         decoder.resume(spot.packet_ns, spot.received_ns);
         for (number, entry) in entries.iter().enumerate().take(spot.last.0 + 1).skip(spot.first.0) {
-            with_message(bag, channel, schema, entry, |message| {
+            let read = with_message(bag, channel, schema, entry, |message| {
                 for (k, (received_ns, payload)) in payloads(message, entry.time_ns)?.into_iter().enumerate() {
                     let at = (number, k);
                     if at < (spot.first.0, spot.first.1) || at > (spot.last.0, spot.last.1) {
@@ -280,7 +303,10 @@ impl PacketSweeps {
                     let _ = decoder.decode(received_ns, payload, from..to);
                 }
                 Ok(())
-            })?;
+            });
+            if !matches!(read, Err(Error::Dataset { .. })) {
+                read?;
+            }
         }
         let taken = decoder
             .take()

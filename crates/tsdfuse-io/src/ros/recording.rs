@@ -17,6 +17,7 @@ use super::packets::PacketSweeps;
 use super::survey::{Stamps, Survey, Use, use_of, with_message};
 use crate::calibrations::Calibrations;
 use crate::error::{Error, Result};
+use crate::placed;
 use crate::poses::{self, Poses};
 use crate::source::{GnssFix, ImageRef, ImuSample, OpenOptions, Recorded, ScanRef, Sensor, Source, Topic};
 
@@ -143,7 +144,7 @@ impl Recording {
             }
             let stamps = self.survey.stamps.get(&number);
             let frame = stamps.map_or("os_sensor", |stamps| stamps.frame.as_str());
-            let looked = PacketSweeps::index(&self.bag, number, schema, &calibrations, told)
+            let looked = PacketSweeps::index(&self.bag, number, schema, &calibrations, told, options.glance)
                 .and_then(|packets| Lidar::of_packets(&self.bag, number, schema, frame, packets));
             match looked {
                 Ok(lidar) => all.push(lidar),
@@ -310,10 +311,6 @@ impl Recording {
                 let reason = "the poses that are asked for cover no scan: their times are others";
                 return Err(Error::dataset(path, reason));
             }
-            self.conclude(
-                "poses",
-                "none: the scans are tracked by odometry, or --poses names a file, topic or frame".to_owned(),
-            );
             return Ok(None);
         };
         self.notes
@@ -682,7 +679,16 @@ impl Source for Recording {
         let read = lidar.read(&self.bag, sweep)?;
         let time_ns = lidar.time_ns(sweep);
         let motion = match (&self.trajectory, &read.secs) {
-            (Some(trajectory), Some(secs)) => motion_within(trajectory, time_ns, secs, &sensor.body_from_sensor),
+            (Some(trajectory), Some(secs)) => {
+                let within = motion_within(trajectory, time_ns, secs, &sensor.body_from_sensor);
+                let (begin, end) = trajectory.span_ns();
+                // During the first and the last sweep, the sensor may move where poses end.
+                if within.is_empty() && !(begin < time_ns && time_ns < end) {
+                    placed::motion(&self.scans, index, secs, None, &sensor.body_from_sensor)
+                } else {
+                    within
+                }
+            }
             _ => Vec::new(),
         };
         Ok(Scan {

@@ -235,6 +235,36 @@ fn a_file_that_unpacks_without_end_is_refused() {
     assert!(told.contains("is no SQLite bag of ROS 2, or damaged"), "{told}");
 }
 
+/// Poses at the begin of each sweep, and none after the last one.
+#[test]
+fn the_last_sweep_goes_on_as_the_sensor_did() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let at = |x: f64| Pose {
+        translation: DVec3::new(x, 0.0, 0.0),
+        ..Pose::IDENTITY
+    };
+    let mut writer = super::Writer::create(&path, &[crate::Sensor::new("lidar")]).unwrap();
+    for sweep in 0..4_i32 {
+        let scan = Scan {
+            time_ns: Some(T0 + i64::from(sweep) * 100_000_000),
+            points: vec![Vec3::new(5.0, 1.0, 1.0); 100],
+            times: Some((0..100u8).map(|i| f32::from(i) * 1e-3).collect()),
+            pose: Some(at(f64::from(sweep))),
+            ..Scan::default()
+        };
+        writer.write_scan(0, &scan).unwrap();
+    }
+    writer.finish().unwrap();
+    let log = open(&path).unwrap();
+    for index in 0..4 {
+        let mut scan = log.read(index).unwrap();
+        scan.undistort();
+        // The last point is measured 0.99 m farther on.
+        assert!((scan.points[99].x - 5.99).abs() < 1e-4, "{index}: {}", scan.points[99]);
+    }
+}
+
 #[test]
 fn samples_of_an_imu_are_written_and_read_again() {
     let folder = tempfile::tempdir().unwrap();

@@ -53,7 +53,7 @@ fn sweeps_come_as_they_are_sent_and_lost_packets_are_counted() {
     let sender = send(port, numbers, Duration::from_micros(300));
     let log = opened(port, &[]);
     assert_eq!((log.len(), log.sensors()[0].name.as_str()), (None, "vlp16"));
-    assert!(log.is_unplaced() && log.notes()[0].starts_with("packets of a vlp16 come from 127.0.0.1:"));
+    assert!(log.is_unplaced() && log.notes()[0].starts_with("vlp16 packets come from 127.0.0.1:"));
     let scans: Vec<_> = log.read_ahead(&Selection::default()).collect();
     sender.join().unwrap();
     // Three turns and a third; the last third counts, too.

@@ -1,8 +1,8 @@
 //! Ouster's metadata: the JSON that the sensor's web interface, its SDK and its ROS driver write, of firmware 1 to 3.
 
 use serde_json::Value;
-use tsdfuse::SensorModel;
 use tsdfuse::glam::{DMat3, DMat4};
+use tsdfuse::{Pose, SensorModel};
 
 use super::imu::ImuProfile;
 use crate::error::{PacketError, Result};
@@ -32,6 +32,8 @@ pub struct Metadata {
     pub window: [usize; 2],
     /// By how much the image's rows are shifted to make a picture, in columns.
     pub pixel_shifts: Vec<i32>,
+    /// Where the sensor sits on what carries it, as the maker's SDK keeps it with the metadata.
+    pub body_from_sensor: Option<Pose>,
     /// Ports of the packets, where told.
     pub lidar_port: Option<u16>,
     /// See there.
@@ -210,6 +212,13 @@ impl Metadata {
             ])
         };
         let sensor_from_imu = matrix("imu_to_sensor_transform")?.unwrap_or(DMat4::IDENTITY);
+        let extrinsic = part("ouster-sdk").and_then(|part| part.get("extrinsic")?.as_array());
+        let body_from_sensor = extrinsic.map(|rows| {
+            let rows: Option<Vec<f64>> = rows.iter().map(Value::as_f64).collect();
+            let rows = rows.filter(|rows| rows.len() == 16);
+            let pose = rows.and_then(|rows| Pose::from_row_major_3x4(rows.first_chunk()?).ok());
+            pose.ok_or_else(|| bad("have an extrinsic that is no pose".to_owned()))
+        });
         let port = |key: &str| {
             count(key)
                 .and_then(|port| u16::try_from(port).ok())
@@ -227,6 +236,7 @@ impl Metadata {
             ),
             has_long_frame: text_of("header_type").map(|kind| kind == "FUSA"),
             pixel_shifts: shifts.into_iter().map(|shift| shift as i32).collect(),
+            body_from_sensor: body_from_sensor.transpose()?,
             lidar_port: port("udp_port_lidar"),
             imu_port: port("udp_port_imu"),
             product,
