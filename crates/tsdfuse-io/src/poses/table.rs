@@ -24,8 +24,8 @@ use tsdfuse::glam::{DQuat, DVec3};
 use tsdfuse::{Pose, Trajectory};
 
 use super::Poses;
-use super::geodesy::Geographic;
 use crate::error::{Error, Result};
+use crate::geodesy::Geographic;
 use crate::text::{self, Line};
 
 /// Words for rates, accelerations and the like, whose x, y and z are no position.
