@@ -692,6 +692,8 @@ mod tests {
     fn the_newest_node_settles_where_all_would_put_it() {
         let (_, mut graph) = rounds(60, 0.05);
         let newest = graph.nodes.len() - 1;
+        // Edges come with their nodes.
+        graph.edges.sort_by_key(|edge| edge.to);
         graph.edges.push(Edge {
             from: newest - 60,
             to: newest,

@@ -31,6 +31,9 @@ const MOST_BIAS: f64 = 3.0;
 /// The heading in the fixes' world must be known this well, radians: on a shorter way they tell nothing.
 const LEAST_HEADING: f64 = 0.05;
 
+/// How far from the vertical the trajectory's z axis may be, radians (standard deviation).
+const TILTED: f64 = 0.1;
+
 /// Fixes and directions of gravity that are needed at least.
 const LEAST: usize = 5;
 
@@ -309,7 +312,7 @@ impl Anchors {
         placed
     }
 
-    /// Where the fixes' world lies, turned about the vertical alone: least squares that forgets what disagrees.
+    /// Where the fixes' world lies: a turn about the vertical and a shift by least squares that forgets what disagrees, then also a tilt.
     fn aligned(&self, nodes: &[Pose]) -> Option<Pose> {
         let pairs: Vec<(DVec3, DVec3, f64)> = self
             .anchors
@@ -360,7 +363,7 @@ impl Anchors {
             pose = next;
             let least = (4.0 * median(&mut squares(&pose))).max(DOUBTFUL);
             if width <= least {
-                return (heading_sigma <= LEAST_HEADING).then_some(pose);
+                return (heading_sigma <= LEAST_HEADING).then(|| tilted(pose, &pairs, &weights));
             }
             width = (0.5 * width).max(least);
         }
@@ -459,10 +462,45 @@ impl State {
     }
 }
 
-/// The larger one for both horizontal axes, since the fixes' world is turned about the vertical.
+/// The larger one for both horizontal axes, since the fixes' world is turned about the vertical, and hardly tilted.
 fn horizontal(sigma: DVec3) -> DVec3 {
     let flat = sigma.x.max(sigma.y);
     DVec3::new(flat, flat, sigma.z)
+}
+
+/// The pose that brings places (first) best to others (second), from one that is turned about the vertical alone. On a straight way nothing tells the tilt about it.
+fn tilted(pose: Pose, pairs: &[(DVec3, DVec3, f64)], weights: &[f64]) -> Pose {
+    const PASSES: usize = 4;
+    let mut pose = pose;
+    let middle = pairs.iter().map(|pair| pair.1).sum::<DVec3>() / pairs.len().max(1) as f64;
+    for _ in 0..PASSES {
+        let (mut h, mut g) = (Matrix6::zeros(), Vector6::zeros());
+        for ((there, here, _), weight) in pairs.iter().zip(weights) {
+            let (at, off) = (
+                pose.transform_point(*there) - middle,
+                pose.transform_point(*there) - *here,
+            );
+            // A turn about the middle, then a shift.
+            let columns = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| axis.cross(at));
+            for (row, axis) in [DVec3::X, DVec3::Y, DVec3::Z].into_iter().enumerate() {
+                let turns = columns.map(|column| column[row]);
+                let j = Vector6::new(axis.x, axis.y, axis.z, turns[0], turns[1], turns[2]);
+                h += j * j.transpose() * *weight;
+                g -= j * (off[row] * *weight);
+            }
+        }
+        for turn in 3..5 {
+            h[(turn, turn)] += TILTED.powi(-2);
+        }
+        let Some(h) = h.cholesky() else { return pose };
+        let x = h.solve(&g);
+        let turn = DQuat::from_scaled_axis(DVec3::new(x[3], x[4], x[5]));
+        pose = Pose {
+            rotation: (turn * pose.rotation).normalize(),
+            translation: middle + turn * (pose.translation - middle) + DVec3::new(x[0], x[1], x[2]),
+        };
+    }
+    pose
 }
 
 /// The motion of the world, about the vertical, that brings a pose to the place and heading that it had.
