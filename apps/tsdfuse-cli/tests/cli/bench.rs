@@ -179,7 +179,7 @@ fn a_long_drive_makes_new_blocks_in_each_pass() {
 
 #[test]
 fn a_long_drive_is_tracked_lap_after_lap() {
-    let drive = ["bench", "--long-drive", "120", "--poses", "track"];
+    let drive = ["bench", "--long-drive", "230", "--poses", "track"];
     let results = tsdfuse(&[&drive[..], &["--json"]].concat()).succeeded().json();
     assert_eq!(results["laps"].as_array().unwrap().len(), 2);
     assert!(number(&results["error_m"]) < 0.1, "{results}");

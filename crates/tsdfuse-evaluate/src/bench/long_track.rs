@@ -19,10 +19,10 @@ use crate::error::{Error, Result};
 use crate::progress::{Progress, Watch};
 
 /// Scans of a lap, ten a second.
-const LAP: usize = 56;
+const LAP: usize = 112;
 
 /// Half axes of the ellipse that is flown, and its height, metres: above what stands in the hall, inside of the pillars.
-const WAY_M: DVec3 = DVec3::new(13.0, 3.5, 3.2);
+const WAY_M: DVec3 = DVec3::new(10.0, 3.5, 3.2);
 
 /// Nanoseconds from scan to scan.
 const STEP_NS: i64 = 100_000_000;
@@ -235,8 +235,8 @@ mod tests {
         }
         for pair in way.windows(2) {
             let step = pair[0].inverse() * pair[1];
-            assert!((0.3..1.7).contains(&step.translation.length()), "{step:?}");
-            assert!(step.rotation.to_scaled_axis().length() < 0.5);
+            assert!((0.1..0.7).contains(&step.translation.length()), "{step:?}");
+            assert!(step.rotation.to_scaled_axis().length() < 0.2);
         }
     }
 }
