@@ -4,9 +4,9 @@ use std::path::Path;
 
 use anyhow::Result;
 use tsdfuse_evaluate::Form;
-use tsdfuse_evaluate::bench::{Bench, Live, LongDrive, STREET};
+use tsdfuse_evaluate::bench::{Bench, Live, LongDrive, LongTrack, STREET};
 use tsdfuse_plan::EsdfConfig;
-use tsdfuse_run::Device;
+use tsdfuse_run::{Device, PosesFrom};
 
 use crate::args::{LogArgs, Memory};
 use crate::exit::{self, Outcome, Usage};
@@ -24,6 +24,7 @@ Examples:
   tsdfuse bench --threads 1 --json
   tsdfuse bench --long-drive 10000
   tsdfuse bench --long-drive 16000 --memory 512M
+  tsdfuse bench --long-drive 20000 --poses track
   tsdfuse bench drive --live --scans 0..100
   tsdfuse bench --device gpu --methods raycast,patch";
 
@@ -42,7 +43,8 @@ pub(crate) struct Args {
     #[arg(long)]
     json: bool,
     /// Instead, drive N scans (VLP-16) through a repeating simulated street, and check whether scans take longer as the map
-    /// grows. Voxels are 12.5 cm unless set otherwise.
+    /// grows. Voxels are 12.5 cm unless set otherwise. With --poses track: fly on and on through a simulated hall, and check whether it
+    /// takes longer to place scans, and to recognise places, as the drive goes on.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(20..=1_000_000))]
     long_drive: Option<u32>,
     /// With --long-drive: limit the memory for blocks; then mesh the whole map and report the size of its file.
@@ -63,7 +65,9 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     if args.live {
         return live(args);
     }
-    args.log.check_poses_known()?;
+    if args.long_drive.is_none() {
+        args.log.check_poses_known()?;
+    }
     let bench = args.bench()?;
     args.check(&bench.forms)?;
     args.log.set_threads()?;
@@ -72,6 +76,20 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     exit::quiet_gpu(&args.device);
     if let Device::Gpu(name) = &args.device {
         return gpu::run(&bench, name.as_deref(), args.json, watch);
+    }
+    if let (Some(scans), PosesFrom::Track) = (args.long_drive, args.log.poses_from()) {
+        let track = LongTrack {
+            scans: scans as usize,
+            settings: bench.settings,
+            command_line: bench.command_line,
+        };
+        let results = track.run(watch).map_err(told)?;
+        if args.json {
+            print_json(&results)?;
+        } else {
+            print(&results.text())?;
+        }
+        return Ok(Outcome::Complete);
     }
     if let Some(scans) = args.long_drive {
         let drive = LongDrive {
@@ -185,6 +203,16 @@ impl Args {
         }
         if forms.len() > 1 {
             return Err(Usage::new("--long-drive is for one method"));
+        }
+        if self.log.poses_from() != PosesFrom::Any && self.log.poses_from() != PosesFrom::Track {
+            return Err(Usage::new(
+                "--long-drive knows its poses, or tracks them: only --poses track goes with it",
+            ));
+        }
+        if self.log.poses_from() == PosesFrom::Track && (!forms.is_empty() || self.memory.is_some()) {
+            return Err(Usage::new(
+                "--long-drive with --poses track makes no map: leave out --methods and --memory",
+            ));
         }
         if self.log.log != Path::new(STREET) || self.log.scans.is_some() {
             return Err(Usage::new(

@@ -5,13 +5,17 @@ use std::time::Instant;
 
 use anyhow::Result;
 use serde::Serialize;
+use tsdfuse::Pose;
+use tsdfuse_evaluate::trajectories::Plot;
 use tsdfuse_io::g2o;
 use tsdfuse_run::report::OdometryReport;
 use tsdfuse_run::{PosesFrom, RunConfig, TrackedScan, check_outputs, refine, track, write_poses, write_sensor};
 
 use crate::args::{LogArgs, Loops};
 use crate::exit::{self, Outcome};
+use crate::measuring::told;
 use crate::output::print_json;
+use crate::poses::check_plot;
 use crate::progress::say;
 use crate::terminal::Terminal;
 
@@ -38,6 +42,9 @@ pub(crate) struct Args {
     /// Write the pose graph of the loops for g2o or GTSAM: local maps along the way, odometry and closures between them.
     #[arg(long, value_name = "FILE.g2o")]
     save_graph: Option<PathBuf>,
+    /// Draw the trajectory from above, with the loops that were closed, as a picture (.png or .svg).
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
     /// Write what is known of the sensor: with --poses refine, the systematic errors that were found, too. `--sensor FILE` takes it.
     #[arg(long, value_name = "FILE.toml")]
     save_sensor: Option<PathBuf>,
@@ -57,8 +64,12 @@ struct Tracks {
 pub(crate) fn run(args: &Args) -> Result<Outcome> {
     args.log.set_threads()?;
     let (input, settings) = (args.log.input(), args.log.settings(None)?);
-    let outputs: Vec<_> = [Some(&args.output), args.save_graph.as_ref(), args.save_sensor.as_ref()]
-        .into_iter()
+    if let Some(path) = &args.plot {
+        check_plot(path)?;
+    }
+    let outputs = [&args.save_graph, &args.plot, &args.save_sensor].map(Option::as_ref);
+    let outputs: Vec<_> = std::iter::once(Some(&args.output))
+        .chain(outputs)
         .flatten()
         .map(PathBuf::as_path)
         .collect();
@@ -86,6 +97,12 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     write_poses(&args.output, &poses)?;
     if let (Some(path), Some(graph)) = (&args.save_graph, &found.graph) {
         g2o::write(path, graph)?;
+    }
+    if let Some(path) = &args.plot {
+        let poses: Vec<Pose> = poses.iter().map(|fused| fused.pose).collect();
+        let graph = found.graph.as_ref();
+        let plot = Plot::of(&poses).with_closures(graph.unwrap_or(&g2o::Graph::default()), &Pose::IDENTITY);
+        plot.write(path).map_err(told)?;
     }
     if let Some(path) = &args.save_sensor {
         write_sensor(path, &log, found.correction.as_ref(), found.mounting.as_ref())?;

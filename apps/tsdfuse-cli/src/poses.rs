@@ -7,18 +7,19 @@ use clap::{Subcommand, ValueEnum};
 use serde::Serialize;
 use tsdfuse::Trajectory;
 use tsdfuse_eval::trajectory::{TrajectoryComparison, compare};
-use tsdfuse_evaluate::trajectories;
+use tsdfuse_evaluate::trajectories::{self, Plot};
+use tsdfuse_io::g2o;
 use tsdfuse_io::poses::{self, Poses};
-use tsdfuse_io::{atomic, png};
 use tsdfuse_run::{check_outputs, saved};
 
 use crate::exit::{Outcome, Usage};
+use crate::measuring::told;
 use crate::output::{print, print_json};
 use crate::progress::say;
 
 const EXAMPLES: &str = "\
 Examples:
-  tsdfuse poses compare odometry.tum groundtruth.tum --plot odometry.png
+  tsdfuse poses compare odometry.tum groundtruth.tum --plot odometry.png --graph odometry.g2o
   tsdfuse poses compare drive.tsdf kitti/sequences/00 --json
   tsdfuse poses convert poses.txt --times times.txt -o poses.tum
 
@@ -52,6 +53,9 @@ struct Compare {
     /// Draw both from above, and the error over the distance, as a picture (.png or .svg).
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    /// With --plot: also draw the loops that were closed, of the trajectory's pose graph (`tsdfuse odometry --save-graph`).
+    #[arg(long, value_name = "FILE.g2o", requires = "plot")]
+    graph: Option<PathBuf>,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -102,21 +106,22 @@ pub(crate) fn run(Args { command }: &Args) -> Result<Outcome> {
 impl Compare {
     fn run(&self) -> Result<Outcome> {
         if let Some(path) = &self.plot {
-            if !has_extension(path, "svg") && !has_extension(path, "png") {
-                return Err(Usage::new(format_args!("{}: a plot is drawn as .png or .svg", path.display())).into());
-            }
-            check_outputs(&[&self.track, &self.reference], &[path])?;
+            check_plot(path)?;
+            let inputs = [Some(&self.track), Some(&self.reference), self.graph.as_ref()];
+            check_outputs(
+                &inputs.into_iter().flatten().map(PathBuf::as_path).collect::<Vec<_>>(),
+                &[path],
+            )?;
         }
         let (track, reference) = (saved::poses(&self.track)?, saved::poses(&self.reference)?);
         let found = compare(&track, &reference, !self.no_align);
         let found = found.with_context(|| format!("{} and {}", self.track.display(), self.reference.display()))?;
         if let Some(path) = &self.plot {
-            if has_extension(path, "png") {
-                png::write(path, &trajectories::picture(&found)?)?;
-            } else {
-                let svg = trajectories::svg(&found)?;
-                atomic::write(path, |out| std::io::Write::write_all(out, svg.as_bytes()))?;
+            let mut plot = Plot::of_both(&found);
+            if let Some(graph) = &self.graph {
+                plot = plot.with_closures(&g2o::read(graph)?, &found.alignment.unwrap_or_default());
             }
+            plot.write(path).map_err(told)?;
         }
         if self.json {
             print_json(&Report {
@@ -132,9 +137,16 @@ impl Compare {
     }
 }
 
-fn has_extension(path: &Path, wanted: &str) -> bool {
-    path.extension()
-        .is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
+/// Refuses a file that is no plot.
+pub(crate) fn check_plot(path: &Path) -> Result<(), Usage> {
+    let extension = path.extension().map(std::ffi::OsStr::to_ascii_lowercase);
+    if extension.is_some_and(|extension| extension == "svg" || extension == "png") {
+        return Ok(());
+    }
+    Err(Usage::new(format_args!(
+        "{}: a plot is drawn as .png or .svg",
+        path.display()
+    )))
 }
 
 impl Convert {

@@ -99,7 +99,10 @@ fn odometry(report: &OdometryReport, scans: usize) {
 /// Which places were seen before.
 pub(crate) fn loops(report: &OdometryReport) {
     let Some(LoopsReport {
-        closures, distrusted, ..
+        closures,
+        distrusted,
+        anchoring,
+        ..
     }) = &report.loops
     else {
         return;
@@ -114,6 +117,22 @@ pub(crate) fn loops(report: &OdometryReport) {
             last.earlier,
             last.later
         ));
+    }
+    if let Some(found) = anchoring {
+        let (off, first) = (found.fixes_after_m, found.fixes_before_m);
+        if found.fixes > 0 {
+            let (fixes, doubted) = (found.fixes, found.doubted_fixes);
+            say(format_args!(
+                "  GNSS     {fixes} fixes, {doubted} doubted; off by {off:.3} m in the median, by {first:.3} m before"
+            ));
+        }
+        if found.levels > 0 {
+            let (off, first) = (found.tilt_after_rad.to_degrees(), found.tilt_before_rad.to_degrees());
+            say(format_args!(
+                "  gravity  at {} places; off by {off:.2}° in the median, by {first:.2}° before",
+                found.levels
+            ));
+        }
     }
     let doubted = closures.iter().filter(|closure| closure.is_doubted).count();
     if doubted > 0 {

@@ -1,12 +1,14 @@
-//! Two trajectories side by side: the figures as text, and a plot of both from above with the error over the distance.
+//! Trajectories: the figures of two as text; plots of one, or of two with the error over the distance, and of the loops that were closed.
 
 use std::fmt::Write;
 use std::ops::Range;
 use std::path::Path;
 
 use plotters::prelude::*;
+use tsdfuse::Pose;
 use tsdfuse::render::Image;
 use tsdfuse_eval::trajectory::{Compared, Drift, Spread, TrajectoryComparison};
+use tsdfuse_io::{atomic, g2o, png};
 use tsdfuse_run::report::with_commas;
 
 use crate::error::Result;
@@ -23,6 +25,7 @@ const MARGINS: (u32, u32) = (76, 56);
 const TRUTH: RGBColor = BLACK;
 const TRACK: RGBColor = RGBColor(213, 94, 0);
 const TURN: RGBColor = RGBColor(0, 114, 178);
+const CLOSURE: RGBColor = RGBColor(0, 158, 115);
 
 /// All figures of a trajectory against a reference.
 pub fn figures(track: &Path, reference: &Path, found: &TrajectoryComparison) -> String {
@@ -98,62 +101,132 @@ fn line(text: &mut String, name: &str, drift: &Drift) {
     );
 }
 
-/// Both trajectories from above, and below that the error over the distance, as SVG.
-///
-/// # Errors
-/// If it cannot be drawn.
-pub fn svg(found: &TrajectoryComparison) -> Result<String> {
-    let mut svg = String::new();
-    plot(SVGBackend::with_string(&mut svg, SIZE), found)?;
-    Ok(svg)
+/// A point from above, metres.
+type Point = (f64, f64);
+
+fn point(pose: &Pose) -> Point {
+    (pose.translation.x, pose.translation.y)
 }
 
-/// The same as a picture.
-///
-/// # Errors
-/// If it cannot be drawn.
-pub fn picture(found: &TrajectoryComparison) -> Result<Image> {
-    let mut canvas = Canvas::new(SIZE);
-    plot(Raster(&mut canvas), found)?;
-    Ok(canvas.into_image())
+/// Trajectories from above, and below that the error over the distance, if there is one.
+pub struct Plot<'a> {
+    lines: Vec<(&'static str, RGBColor, Vec<Point>)>,
+    closures: Vec<[Point; 2]>,
+    errors: &'a [Compared],
 }
 
-fn plot<B: DrawingBackend>(backend: B, found: &TrajectoryComparison) -> Result<()> {
-    let pairs = found.pairs.as_slice();
-    let area = backend.into_drawing_area();
-    area.fill(&WHITE).map_err(said)?;
-    let (above, below) = area.split_vertically(ABOVE);
-    from_above(&above, pairs)?;
-    over_distance(&below, pairs)?;
-    area.present().map_err(said)
+impl<'a> Plot<'a> {
+    /// Of a trajectory.
+    pub fn of(poses: &[Pose]) -> Self {
+        Self {
+            lines: vec![("trajectory", TRACK, poses.iter().map(point).collect())],
+            closures: Vec::new(),
+            errors: &[],
+        }
+    }
+
+    /// Of two.
+    pub fn of_both(found: &'a TrajectoryComparison) -> Self {
+        let places = |of: fn(&Compared) -> &Pose| found.pairs.iter().map(|pair| point(of(pair))).collect();
+        Self {
+            lines: vec![
+                ("reference", TRUTH, places(|pair| &pair.reference)),
+                ("trajectory", TRACK, places(|pair| &pair.aligned)),
+            ],
+            closures: Vec::new(),
+            errors: &found.pairs,
+        }
+    }
+
+    /// Also the closures of a pose graph, whose world is moved (`drawn_from_graph`): measurements between nodes of which one does not follow the other.
+    #[must_use]
+    pub fn with_closures(mut self, graph: &g2o::Graph, drawn_from_graph: &Pose) -> Self {
+        let moved = |pose: &Pose| point(&(*drawn_from_graph * *pose));
+        self.closures = graph.closures().map(|ends| ends.map(|pose| moved(&pose))).collect();
+        self
+    }
+
+    /// Writes it as `.png`, or else as SVG.
+    ///
+    /// # Errors
+    /// If it cannot be drawn, or the file not be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        if path
+            .extension()
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("png"))
+        {
+            png::write(path, &self.picture()?)?;
+        } else {
+            let svg = self.svg()?;
+            atomic::write(path, |out| std::io::Write::write_all(out, svg.as_bytes()))?;
+        }
+        Ok(())
+    }
+
+    fn svg(&self) -> Result<String> {
+        let mut svg = String::new();
+        self.draw(SVGBackend::with_string(&mut svg, self.size()))?;
+        Ok(svg)
+    }
+
+    fn picture(&self) -> Result<Image> {
+        let mut canvas = Canvas::new(self.size());
+        self.draw(Raster(&mut canvas))?;
+        Ok(canvas.into_image())
+    }
+
+    fn size(&self) -> (u32, u32) {
+        let (width, height) = SIZE;
+        (width, if self.errors.is_empty() { ABOVE as u32 } else { height })
+    }
+
+    fn draw<B: DrawingBackend>(&self, backend: B) -> Result<()> {
+        let area = backend.into_drawing_area();
+        area.fill(&WHITE).map_err(said)?;
+        if self.errors.is_empty() {
+            self.draw_above(&area)?;
+        } else {
+            let (above, below) = area.split_vertically(ABOVE);
+            self.draw_above(&above)?;
+            over_distance(&below, self.errors)?;
+        }
+        area.present().map_err(said)
+    }
+
+    fn draw_above<B: DrawingBackend>(&self, area: &Area<B>) -> Result<()> {
+        let all = || self.lines.iter().flat_map(|(.., points)| points);
+        let pixels = (f64::from(SIZE.0 - MARGINS.0), f64::from(ABOVE) - f64::from(MARGINS.1));
+        let [x, y] = equal_scales(&[span(all().map(|p| p.0)), span(all().map(|p| p.1))], pixels);
+        let mut chart = ChartBuilder::on(area)
+            .margin(8)
+            .x_label_area_size(40)
+            .y_label_area_size(60)
+            .build_cartesian_2d(x, y)
+            .map_err(said)?;
+        axes(&mut chart, "x, m", "y, m")?;
+        for (name, color, points) in &self.lines {
+            series(&mut chart, name, *color, points.clone())?;
+        }
+        if !self.closures.is_empty() {
+            let dots = self
+                .closures
+                .iter()
+                .flatten()
+                .map(|&at| Circle::new(at, 3, CLOSURE.filled()));
+            chart.draw_series(dots).map_err(said)?;
+            let ends = self
+                .closures
+                .iter()
+                .map(|ends| PathElement::new(ends.to_vec(), CLOSURE.stroke_width(2)));
+            let drawn = chart.draw_series(ends).map_err(said)?;
+            let key = |(x, y)| PathElement::new(vec![(x, y), (x + 16, y)], CLOSURE.stroke_width(2));
+            drawn.label("closures").legend(key);
+        }
+        legend(&mut chart)
+    }
 }
 
 type Area<B> = DrawingArea<B, plotters::coord::Shift>;
-
-fn from_above<B: DrawingBackend>(area: &Area<B>, pairs: &[Compared]) -> Result<()> {
-    let places = |of: fn(&Compared) -> tsdfuse::Pose| {
-        let place = move |pair: &Compared| (of(pair).translation.x, of(pair).translation.y);
-        pairs.iter().map(place).collect::<Vec<_>>()
-    };
-    let lines = [
-        ("reference", TRUTH, places(|pair| pair.reference)),
-        ("trajectory", TRACK, places(|pair| pair.aligned)),
-    ];
-    let all = || lines.iter().flat_map(|(.., points)| points);
-    let pixels = (f64::from(SIZE.0 - MARGINS.0), f64::from(ABOVE) - f64::from(MARGINS.1));
-    let [x, y] = equal_scales(&[span(all().map(|p| p.0)), span(all().map(|p| p.1))], pixels);
-    let mut chart = ChartBuilder::on(area)
-        .margin(8)
-        .x_label_area_size(40)
-        .y_label_area_size(60)
-        .build_cartesian_2d(x, y)
-        .map_err(said)?;
-    axes(&mut chart, "x, m", "y, m")?;
-    for (name, color, points) in lines {
-        series(&mut chart, name, color, points)?;
-    }
-    legend(&mut chart)
-}
 
 fn over_distance<B: DrawingBackend>(area: &Area<B>, pairs: &[Compared]) -> Result<()> {
     let lines = [
@@ -259,18 +332,21 @@ mod tests {
 
     #[test]
     fn both_trajectories_are_drawn() {
-        let svg = svg(&found(150)).unwrap();
+        let both = found(150);
+        let svg = Plot::of_both(&both).svg().unwrap();
         assert!(svg.matches("<polyline").count() >= 4);
         for name in ["reference", "trajectory", "distance, m", "deg"] {
             assert!(svg.contains(name), "{name}");
         }
         // Standing still is no reason to fail.
-        assert!(super::svg(&found(1)).is_ok() && picture(&found(1)).is_ok());
+        let one = found(1);
+        let plot = Plot::of_both(&one);
+        assert!(plot.svg().is_ok() && plot.picture().is_ok());
     }
 
     #[test]
     fn a_picture_shows_both_trajectories_and_text() {
-        let Image { width, height, pixels } = picture(&found(150)).unwrap();
+        let Image { width, height, pixels } = Plot::of_both(&found(150)).picture().unwrap();
         let Pixels::Rgb(pixels) = pixels else {
             panic!("{pixels:?}")
         };
@@ -281,6 +357,26 @@ mod tests {
         // The numbers of the axis stand left of it.
         let is_dark = |(at, pixel): (usize, &[u8; 3])| at % width < 130 && at / width < 1000 && pixel[0] < 128;
         assert!(pixels.iter().enumerate().filter(|&pixel| is_dark(pixel)).count() > 500);
+    }
+
+    #[test]
+    fn closures_are_drawn_where_their_nodes_are() {
+        let poses: Vec<Pose> = found(150).pairs.iter().map(|pair| pair.reference).collect();
+        let edge = |from, to| g2o::Edge {
+            from,
+            to,
+            measured: Pose::IDENTITY,
+            information: [0.0; 21],
+        };
+        let graph = g2o::Graph {
+            nodes: [0, 50, 149].map(|id| (id, poses[id as usize])).to_vec(),
+            edges: vec![edge(0, 50), edge(50, 149), edge(0, 149)],
+        };
+        let plot = Plot::of(&poses).with_closures(&graph, &Pose::IDENTITY);
+        assert_eq!(plot.closures, [[point(&poses[0]), point(&poses[149])]]);
+        let svg = plot.svg().unwrap();
+        assert!(svg.contains("closures") && svg.matches("<circle").count() == 2, "{svg}");
+        assert!(!Plot::of(&poses).svg().unwrap().contains("closures"));
     }
 
     #[test]

@@ -10,7 +10,10 @@
 //! - `sensor.toml` ([`crate::sensor_file`]): the sensor's model, its errors, and where it sits on a body (vehicle, robot); then
 //!   `poses.txt` and `motion.txt` are `world_from_body`,
 //! - `imu.csv`: what an inertial measurement unit measured, in the sensor frame: after the header `t,gx,gy,gz,ax,ay,az`, seconds
-//!   on the clock of `times.txt`, rad/s and m/s².
+//!   on the clock of `times.txt`, rad/s and m/s²,
+//! - `gnss.csv`: where a GNSS receiver was: after the header `t,latitude,longitude,altitude,sigma_east,sigma_north,sigma_up`, seconds on the
+//!   same clock, degrees, metres above the ellipsoid (WGS 84), and standard deviations in metres. The antenna is taken to be at the origin of the
+//!   body.
 //!
 //! Lines go to scans as poses do (see [`poses`]). Where returns have times but there is no `motion.txt`, the sensor moves
 //! along the trajectory, if poses have times of their own (TUM) and these have no gap within the sweep: through all poses
@@ -29,14 +32,16 @@ use crate::cloud::{self, Cloud};
 use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::poses::{self, Poses};
-use crate::source::{ImageRef, ImuSample, OpenOptions, ScanRef, Sensor, Source};
+use crate::source::{GnssFix, ImageRef, ImuSample, OpenOptions, ScanRef, Sensor, Source};
 use crate::{bin, las, pcd, placed, ply, present, times};
 
 mod beside;
+mod gnss;
 mod imu;
 
 pub(crate) use beside::{PoseFile, parse_motions, poses};
 use beside::{motions, of_model, sensor};
+pub(crate) use gnss::parse as parse_gnss;
 pub(crate) use imu::parse as parse_imu;
 
 pub use crate::placed::MAX_STEP_SECS;
@@ -52,7 +57,8 @@ pub(crate) struct ScanFolder {
     reader: Reader,
     /// `world_from_body`.
     trajectory: Option<Trajectory>,
-    imu: Imu,
+    imu: Samples<ImuSample>,
+    gnss: Samples<GnssFix>,
     images: Vec<ImageRef>,
     sensors: [Sensor; 1],
     /// Whether `sensor.toml` says how far elevations are off.
@@ -60,12 +66,23 @@ pub(crate) struct ScanFolder {
     notes: Vec<String>,
 }
 
-/// Samples of the inertial measurement unit.
-enum Imu {
+/// What other sensors measured.
+enum Samples<T> {
     /// In the body frame.
-    Known(Vec<ImuSample>),
-    /// In a file that is read when asked for, in the sensor frame.
+    Known(Vec<T>),
+    /// In a file that is read when asked for.
     InFile(PathBuf),
+}
+
+impl<T> Samples<T> {
+    /// Those of a file, if it is there.
+    fn of(path: PathBuf) -> Result<Self> {
+        Ok(if present::file(&path)? {
+            Self::InFile(path)
+        } else {
+            Self::Known(Vec::new())
+        })
+    }
 }
 
 /// The files of one scan, and how the sensor moves during it where `motion.txt` says so.
@@ -124,7 +141,6 @@ impl ScanFolder {
             Ok((there && present::file(&path)?).then_some(path))
         };
         let (rings, times) = (rings?, times?);
-        let imu = root.join(imu::NAME);
         let entries = files
             .iter()
             .zip(motions(&root.join("motion.txt"), files)?)
@@ -146,11 +162,8 @@ impl ScanFolder {
             reader: parse_cloud,
             scans,
             trajectory,
-            imu: if present::file(&imu)? {
-                Imu::InFile(imu)
-            } else {
-                Imu::Known(Vec::new())
-            },
+            imu: Samples::of(root.join(imu::NAME))?,
+            gnss: Samples::of(root.join(gnss::NAME))?,
             images: Vec::new(),
             sensors: [sensor],
             tells_errors,
@@ -177,15 +190,17 @@ impl ScanFolder {
         self
     }
 
-    /// What else the log knows: the body's trajectory and where the sensor sits on the body, and IMU samples.
+    /// What else the log knows: the body's trajectory and where the sensor sits on the body, IMU samples and GNSS fixes.
     pub(crate) fn with_body(
         mut self,
         trajectory: Option<Trajectory>,
         body_from_sensor: Pose,
         imu: Vec<ImuSample>,
+        gnss: Vec<GnssFix>,
     ) -> Self {
         let [sensor] = &mut self.sensors;
-        (self.trajectory, self.imu, sensor.body_from_sensor) = (trajectory, Imu::Known(imu), body_from_sensor);
+        (self.trajectory, sensor.body_from_sensor) = (trajectory, body_from_sensor);
+        (self.imu, self.gnss) = (Samples::Known(imu), Samples::Known(gnss));
         self
     }
 
@@ -367,8 +382,15 @@ impl Source for ScanFolder {
     fn imu(&self) -> Result<Vec<ImuSample>> {
         let [sensor] = &self.sensors;
         match &self.imu {
-            Imu::Known(samples) => Ok(samples.clone()),
-            Imu::InFile(path) => imu::read(path, &sensor.body_from_sensor),
+            Samples::Known(samples) => Ok(samples.clone()),
+            Samples::InFile(path) => imu::read(path, &sensor.body_from_sensor),
+        }
+    }
+
+    fn gnss(&self) -> Result<Vec<GnssFix>> {
+        match &self.gnss {
+            Samples::Known(fixes) => Ok(fixes.clone()),
+            Samples::InFile(path) => gnss::parse(path, &files::read(path)?),
         }
     }
 

@@ -213,6 +213,13 @@ pub fn imu(bytes: &[u8]) {
     let _ = folder::parse_imu(Path::new(PATH), &[b"t,gx,gy,gz,ax,ay,az\n", bytes].concat());
 }
 
+/// The fixes of a GNSS receiver, as they are and after a correct header.
+pub fn gnss(bytes: &[u8]) {
+    let _ = folder::parse_gnss(Path::new(PATH), bytes);
+    let header = b"t,latitude,longitude,altitude,sigma_east,sigma_north,sigma_up\n";
+    let _ = folder::parse_gnss(Path::new(PATH), &[header, bytes].concat());
+}
+
 /// A capture's records and datagrams, as they are and after the header of each kind of file. No datagram is longer than IP's.
 ///
 /// # Panics

@@ -4,6 +4,7 @@
 //! information matrix a measurement. `FIX` is skipped; other tags are an error, for a graph without them would be another one. Where only
 //! poses are wanted ([`poses::read`](crate::poses::read)), measurements are passed over, and `VERTEX_SE2 id x y yaw` is a pose, too.
 
+use std::collections::HashMap;
 use std::io::Write;
 use std::path::Path;
 
@@ -22,6 +23,17 @@ pub struct Graph {
     pub nodes: Vec<(u64, Pose)>,
     /// What was measured.
     pub edges: Vec<Edge>,
+}
+
+impl Graph {
+    /// The ends (`world_from_node`) of measurements between nodes of which none follows the other: the loops that were closed.
+    pub fn closures(&self) -> impl Iterator<Item = [Pose; 2]> {
+        let place: HashMap<u64, usize> = self.nodes.iter().enumerate().map(|(n, (id, _))| (*id, n)).collect();
+        self.edges.iter().filter_map(move |edge| {
+            let (from, to) = (*place.get(&edge.from)?, *place.get(&edge.to)?);
+            (from.abs_diff(to) > 1).then(|| [self.nodes[from].1, self.nodes[to].1])
+        })
+    }
 }
 
 /// A measurement between two nodes.

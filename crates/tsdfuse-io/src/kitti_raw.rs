@@ -20,7 +20,7 @@ use crate::error::{Error, Result};
 use crate::files::{self, ScanFile};
 use crate::folder::{self, PoseFile, ScanFolder};
 use crate::poses::Poses;
-use crate::source::{ImuSample, OpenOptions};
+use crate::source::{GnssFix, ImuSample, OpenOptions};
 use crate::{calib, present, text, times};
 
 /// Equatorial radius of the Earth, metres.
@@ -68,7 +68,7 @@ pub(crate) fn open(path: &Path, options: &OpenOptions) -> Result<ScanFolder> {
     };
     let log = ScanFolder::new("KITTI raw", &velodyne, &scans, Some(poses), &of_scanner)?
         .with_usual_sensor("hdl64e", KITTI_HDL64E_DEG);
-    Ok(log.with_body(packets.trajectory()?, imu_from_velodyne, packets.imu()))
+    Ok(log.with_body(packets.trajectory()?, imu_from_velodyne, packets.imu(), packets.gnss()))
 }
 
 /// What `oxts/` holds.
@@ -143,6 +143,22 @@ impl Packets {
         Ok(Some(trajectory))
     }
 
+    /// Where the packets say that the unit was, where they have times.
+    fn gnss(&self) -> Vec<GnssFix> {
+        let timed = self.times_ns.iter().flatten().zip(&self.packets);
+        let fix = |(&time_ns, packet): (&i64, &Packet)| GnssFix {
+            time_ns,
+            latitude_deg: packet.latitude_deg,
+            longitude_deg: packet.longitude_deg,
+            altitude_m: packet.altitude_m,
+            sigma_m: packet.sigma_m.map(|sigma| [sigma; 3]),
+            ..GnssFix::default()
+        };
+        let mut fixes: Vec<_> = timed.map(fix).collect();
+        fixes.sort_by_key(|fix| fix.time_ns);
+        fixes
+    }
+
     /// The packets that have rates and accelerations, where they have times.
     fn imu(&self) -> Vec<ImuSample> {
         let timed = self.times_ns.iter().flatten().zip(&self.packets);
@@ -185,6 +201,8 @@ pub(crate) struct Packet {
     yaw_rad: f64,
     /// Acceleration and rates of turn about the IMU's axes, where the packet has them.
     inertial: Option<(DVec3, DVec3)>,
+    /// Accuracy of the position, where the packet tells it.
+    sigma_m: Option<f64>,
 }
 
 /// Parses a file of `oxts/data`; `path` is for messages.
@@ -218,6 +236,11 @@ pub(crate) fn packet(path: &Path, bytes: &[u8]) -> Result<Packet> {
     Ok(Packet {
         // ax ay az and wx wy wz of KITTI's dataformat.txt.
         inertial: vector(11).zip(vector(17)),
+        // pos_accuracy.
+        sigma_m: numbers
+            .get(23)
+            .copied()
+            .filter(|sigma| sigma.is_finite() && *sigma > 0.0),
         latitude_deg,
         longitude_deg,
         altitude_m,

@@ -20,6 +20,7 @@ pub mod folder;
 #[doc(hidden)]
 pub mod fuzzing;
 pub mod g2o;
+mod geodesy;
 pub mod geometry;
 pub mod geotiff;
 pub mod glb;

@@ -10,6 +10,7 @@
 //!                       several times; or "-"
 //! sensor.toml           optional; the sensor's model, and body_from_sensor = [12 numbers] if poses are those of a body
 //! imu.csv               optional; "t,gx,gy,gz,ax,ay,az", then seconds, rad/s and m/s² of each sample, sensor frame
+//! gnss.csv              optional; "t,latitude,longitude,altitude,sigma_east,sigma_north,sigma_up", then seconds, degrees and metres of each fix
 //! ```
 //!
 //! Without `motion.txt`, points with times move towards the next scan's pose (the last scan: away from the one before),

@@ -25,7 +25,6 @@ use crate::files::{self, ScanFile};
 use crate::g2o;
 use crate::text::{self, Line};
 
-mod geodesy;
 mod sbet;
 mod table;
 mod write;

@@ -8,10 +8,12 @@ use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
 pub use tsdfuse::ImuSample;
+use tsdfuse::glam::DVec3;
 use tsdfuse::sensor::{Pinhole, SensorCorrection};
 use tsdfuse::{Pose, Scan, SensorModel, Trajectory};
 
 use crate::error::{Error, Result};
+use crate::geodesy::Geographic;
 
 /// How to open a log; the default asks for nothing in particular.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -105,7 +107,7 @@ pub struct ImageRef {
 }
 
 /// Where a GNSS receiver was (WGS 84).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct GnssFix {
     /// Nanoseconds since the log's epoch.
     pub time_ns: i64,
@@ -115,6 +117,22 @@ pub struct GnssFix {
     pub longitude_deg: f64,
     /// Height above the ellipsoid, metres.
     pub altitude_m: f64,
+    /// Standard deviations east, north and up, metres, where the receiver tells them.
+    pub sigma_m: Option<[f64; 3]>,
+    /// What was there (the antenna), in the log's body frame, metres; the body's origin where the log does not tell.
+    pub antenna_m: [f64; 3],
+}
+
+impl GnssFix {
+    /// Metres east, north and up of another fix.
+    pub fn seen_from(&self, origin: &Self) -> DVec3 {
+        let place = |fix: &Self| Geographic {
+            latitude_deg: fix.latitude_deg,
+            longitude_deg: fix.longitude_deg,
+            height_m: fix.altitude_m,
+        };
+        place(self).seen_from(&place(origin)).translation
+    }
 }
 
 /// Messages under one name in a recording.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tsdfuse::{Scan, Trajectory};
 
 use crate::error::{Error, Result};
-use crate::source::{ImageRef, ImuSample, ScanRef, Sensor, Source};
+use crate::source::{GnssFix, ImageRef, ImuSample, ScanRef, Sensor, Source};
 
 /// Sources that are read as one.
 pub(crate) struct Together {
@@ -93,6 +93,16 @@ impl Source for Together {
             let samples = source.imu()?;
             if !samples.is_empty() {
                 return Ok(samples);
+            }
+        }
+        Ok(Vec::new())
+    }
+
+    fn gnss(&self) -> Result<Vec<GnssFix>> {
+        for source in &self.sources {
+            let fixes = source.gnss()?;
+            if !fixes.is_empty() {
+                return Ok(fixes);
             }
         }
         Ok(Vec::new())

@@ -4,12 +4,13 @@ use glam::{DMat3, DVec3};
 use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 use tsdfuse::pose::Interpolation;
-use tsdfuse::{Pose, Scan};
+use tsdfuse::{ImuSample, Pose, Scan};
 use tsdfuse_odometry::Quality;
 
 use crate::graph::{DOUBTFUL, Edge, PoseGraph, between, compounded};
 use crate::local_map::Gathered;
 use crate::places::{Found, Places};
+use crate::world::{Anchoring, Anchors, Fix, ScanAt, Way};
 
 /// Options of loop closure. The defaults suit all rotating LiDARs, indoors and outdoors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -21,6 +22,10 @@ pub struct LoopConfig {
     pub drift_rad: f64,
     /// A place counts as seen before if the sensor moved by this much since, metres.
     pub gap_m: f64,
+    /// Whether positions of a GNSS receiver are used, where the log has some.
+    pub gnss: bool,
+    /// Whether the direction of gravity is used, where the log has an inertial measurement unit.
+    pub gravity: bool,
 }
 
 impl Default for LoopConfig {
@@ -29,6 +34,8 @@ impl Default for LoopConfig {
             drift_m: 0.01,
             drift_rad: 1e-3,
             gap_m: 30.0,
+            gnss: true,
+            gravity: true,
         }
     }
 }
@@ -47,6 +54,12 @@ const BLIND: f64 = 0.3;
 
 /// Up to this standard deviation of the expected position a place is looked for where it is expected, metres.
 const NEAR_M: f64 = 0.6;
+
+/// Where a place is known better than this before a closure, metres (standard deviation), the newest local map alone is moved at first.
+const SETTLED_M: f64 = 0.1;
+
+/// All local maps are moved again at the latest when there are so many times as many.
+const GROWN: f64 = 1.05;
 
 /// Places that are verified for each local map.
 const TRIED: usize = 3;
@@ -74,14 +87,6 @@ pub struct Closure {
     pub matched: f64,
     /// Whether it disagrees with the rest so that it hardly counts.
     pub is_doubted: bool,
-}
-
-/// A scan on the way.
-#[derive(Clone, Copy)]
-struct ScanAt {
-    pose: Pose,
-    /// Metres from the first one, along the way.
-    along: f64,
 }
 
 /// A stretch of the way with its local map.
@@ -133,6 +138,12 @@ pub struct Closer {
     /// Blind motion since the frame of the last stretch, in the world.
     blind: Vec<(usize, DVec3)>,
     distrusted: usize,
+    /// Local maps when all of them were moved last, and whether no closure came since.
+    optimized_nodes: usize,
+    is_optimized: bool,
+    fixes: Vec<Fix>,
+    samples: Vec<ImuSample>,
+    anchoring: Option<Anchoring>,
 }
 
 impl Closer {
@@ -152,10 +163,31 @@ impl Closer {
             edges: Vec::new(),
             blind: Vec::new(),
             distrusted: 0,
+            optimized_nodes: 0,
+            is_optimized: true,
+            fixes: Vec::new(),
+            samples: Vec::new(),
+            anchoring: None,
         }
     }
 
-    /// Takes the next scan, placed by odometry; how many closures it led to.
+    /// Takes positions that were measured, in the order of their times. They correct the trajectory when all scans came ([`Self::finish`]).
+    pub fn push_fixes(&mut self, fixes: impl IntoIterator<Item = Fix>) {
+        if self.config.gnss {
+            self.fixes.extend(fixes);
+        }
+    }
+
+    /// Takes samples of an inertial measurement unit, in the frame of the sensor and in the order of their times. They tell the direction of gravity when
+    /// all scans came ([`Self::finish`]).
+    pub fn push_imu(&mut self, samples: impl IntoIterator<Item = ImuSample>) {
+        if self.config.gravity {
+            self.samples.extend(samples);
+        }
+    }
+
+    /// Takes the next scan, placed by odometry; how many closures it led to. Poses are the best ones after [`Self::finish`]: a closure that moves
+    /// little moves the latest scans alone until then.
     pub fn push(&mut self, scan: &Scan, quality: &Quality) -> usize {
         let pose = scan
             .pose
@@ -166,7 +198,8 @@ impl Closer {
             .map_or(DVec3::ZERO, |last| pose.translation - last.pose.translation);
         let along = self.scans.last().map_or(0.0, |last| last.along) + step.length();
         let number = self.scans.len();
-        self.scans.push(ScanAt { pose, along });
+        let time_ns = scan.time_ns;
+        self.scans.push(ScanAt { pose, time_ns, along });
         if number > 0 && quality.is_unmatched() {
             for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
                 self.blind.push((number, axis * (BLIND * step.length())));
@@ -193,13 +226,24 @@ impl Closer {
         0
     }
 
-    /// No more scans will come; how many closures the last stretch led to.
+    /// No more scans will come; how many closures the last stretch led to. What fixes and gravity tell moves the trajectory now.
     pub fn finish(&mut self) -> usize {
-        if self.begin < self.scans.len() {
+        let closed = if self.begin < self.scans.len() {
             self.complete()
         } else {
             0
+        };
+        if !self.is_optimized {
+            self.optimize();
         }
+        let nodes: Vec<usize> = self.graph_scans().collect();
+        let way = Way {
+            scans: &self.scans,
+            nodes: &nodes,
+        };
+        let anchors = Anchors::of(&way, &self.fixes, &self.samples, self.config.drift_m);
+        self.anchoring = anchors.apply(&mut self.graph);
+        closed
     }
 
     /// The stretch under way is complete: it becomes a local map, which is looked for among the earlier ones.
@@ -341,12 +385,24 @@ impl Closer {
             closed += 1;
         }
         if closed > 0 {
-            self.graph.optimize();
-            for (closure, &edge) in self.closures.iter_mut().zip(&self.edges) {
-                closure.is_doubted = self.graph.edges[edge].squared_error(&self.graph.nodes) > DOUBTFUL;
+            // All of it would cost more and more, on a way that leads through the same places again and again.
+            let has_grown = self.graph.nodes.len() as f64 > GROWN * self.optimized_nodes as f64;
+            if sigma > SETTLED_M || has_grown {
+                self.optimize();
+            } else {
+                self.graph.settle_last();
+                self.is_optimized = false;
             }
         }
         closed
+    }
+
+    fn optimize(&mut self) {
+        self.graph.optimize();
+        (self.optimized_nodes, self.is_optimized) = (self.graph.nodes.len(), true);
+        for (closure, &edge) in self.closures.iter_mut().zip(&self.edges) {
+            closure.is_doubted = self.graph.edges[edge].squared_error(&self.graph.nodes) > DOUBTFUL;
+        }
     }
 
     /// How many scans were pushed.
@@ -369,6 +425,11 @@ impl Closer {
         self.distrusted
     }
 
+    /// What fixes and gravity told, after [`Self::finish`].
+    pub fn anchoring(&self) -> Option<&Anchoring> {
+        self.anchoring.as_ref()
+    }
+
     /// The graph of the stretches.
     pub fn graph(&self) -> &PoseGraph {
         &self.graph
@@ -385,7 +446,7 @@ impl Closer {
     /// # Panics
     /// If there is no such scan.
     pub fn pose(&self, scan: usize) -> Pose {
-        let ScanAt { pose, along } = self.scans[scan];
+        let ScanAt { pose, along, .. } = self.scans[scan];
         let after = self.stretches.partition_point(|stretch| stretch.scan <= scan);
         let corrected = |stretch: usize| {
             let frame = self.scans[self.stretches[stretch].scan].pose;

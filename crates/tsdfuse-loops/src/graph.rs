@@ -35,6 +35,8 @@ pub struct Position {
     pub measured: DVec3,
     /// Standard deviations along the world's axes, metres.
     pub sigma_m: DVec3,
+    /// How much it counts: 1, or less where others say the same with the same errors.
+    pub weight: f64,
 }
 
 /// What says which direction is up, in the frame of a node.
@@ -84,7 +86,7 @@ const MOST_PASSES: usize = 200;
 /// The cost has converged when it falls by a smaller share.
 const CONVERGED: f64 = 1e-9;
 
-/// Information by which the first node is held where nothing tells where the world is, and where positions do.
+/// Information by which the first node is held where nothing tells where the world is, and where positions or gravity do.
 const HELD: (f64, f64) = (1e8, 1e-4);
 
 /// Log of a rotation: axis times angle, the shorter way.
@@ -280,8 +282,8 @@ impl Width {
 
 impl PoseGraph {
     /// Moves the nodes to where they agree best with all that was measured: Levenberg-Marquardt, with closures and positions weighted by dynamic
-    /// covariance scaling whose width shrinks (graduated non-convexity: Yang et al., RA-L 2020). The first node stays unless positions tell
-    /// where it is.
+    /// covariance scaling whose width shrinks (graduated non-convexity: Yang et al., RA-L 2020). The first node stays, but where positions tell
+    /// where it is; directions of gravity may tilt it.
     ///
     /// One thread, one order: the same input gives the same bits.
     pub fn optimize(&mut self) -> Optimized {
@@ -306,6 +308,34 @@ impl PoseGraph {
             cost_before,
             cost: self.cost(Width::NONE),
             iterations,
+        }
+    }
+
+    /// Moves the newest node alone to where it agrees best with the edges that lead to it, which are the last ones: what costs the same in a graph of any
+    /// size. Nothing moves if they do not tell where it is.
+    pub fn settle_last(&mut self) {
+        const PASSES: usize = 5;
+        let Some(last) = self.nodes.len().checked_sub(1) else {
+            return;
+        };
+        for _ in 0..PASSES {
+            let (mut h, mut g) = (Matrix6::zeros(), Vector6::zeros());
+            for edge in self.edges.iter().rev().take_while(|edge| edge.to == last) {
+                let Some(from) = self.nodes.get(edge.from) else {
+                    continue;
+                };
+                let (e, _, j) = edge.error(from, &self.nodes[last]);
+                let weight = if edge.is_closure {
+                    scaled(e.dot(&(edge.information * e)), DOUBTFUL).0
+                } else {
+                    1.0
+                };
+                let weighted = j.tr_mul(&edge.information) * weight;
+                h += weighted * j;
+                g -= weighted * e;
+            }
+            let Some(h) = h.cholesky() else { return };
+            self.nodes[last] = moved(&self.nodes[last], &h.solve(&g));
         }
     }
 
@@ -334,15 +364,33 @@ impl PoseGraph {
             }
         });
         let positions = self.positions.iter();
-        let positions = positions.map(|p| scaled(p.error(&self.nodes[p.node]).0.norm_squared(), width.positions).1);
+        let positions = positions.map(|p| {
+            let squared = p.error(&self.nodes[p.node]).0.norm_squared();
+            p.weight * scaled(squared, width.positions).1
+        });
         let uprights = self.uprights.iter();
         let uprights = uprights.map(|u| u.error(&self.nodes[u.node]).0.norm_squared());
         edges.chain(positions).chain(uprights).sum()
     }
 
+    /// What holds the first node where nothing tells where the world is: positions tell it, and gravity tells the tilt.
+    fn held(&self, first: &Pose) -> Matrix6<f64> {
+        let (tightly, loosely) = HELD;
+        if !self.positions.is_empty() {
+            return Matrix6::identity() * loosely;
+        }
+        let mut held = Matrix6::identity() * tightly;
+        if !self.uprights.is_empty() {
+            let up = first.rotation.conjugate() * DVec3::Z;
+            let heading = DMat3::from_cols(up * up.x, up * up.y, up * up.z) * tightly;
+            put(&mut held, 3, 3, heading + DMat3::IDENTITY * loosely);
+        }
+        held
+    }
+
     /// Levenberg-Marquardt with one width of the kernel; how many systems were solved.
     fn descend(&mut self, plan: &Plan, first: &Pose, width: Width) -> usize {
-        let held = if self.positions.is_empty() { HELD.0 } else { HELD.1 };
+        let held = self.held(first);
         let mut cost = self.cost(width);
         let mut damping = 1e-6;
         for pass in 1..=MOST_PASSES {
@@ -369,14 +417,15 @@ impl PoseGraph {
             };
             for position in &self.positions {
                 let three = position.error(&self.nodes[position.node]);
-                add(position.node, three, scaled(three.0.norm_squared(), width.positions).0);
+                let (scale, _) = scaled(three.0.norm_squared(), width.positions);
+                add(position.node, three, position.weight * scale);
             }
             for upright in &self.uprights {
                 add(upright.node, upright.error(&self.nodes[upright.node]), 1.0);
             }
             if let Some(node) = self.nodes.first() {
-                h.add(0, 0, &(Matrix6::identity() * held));
-                g[0] -= between(first, node) * held;
+                h.add(0, 0, &held);
+                g[0] -= held * between(first, node);
             }
             h.damp(damping);
             let Some(steps) = h.solve(&g) else {
@@ -530,6 +579,7 @@ mod tests {
                 at: DVec3::new(0.3, -0.2, 1.0),
                 measured: DVec3::X,
                 sigma_m: DVec3::new(1.0, 2.0, 0.5),
+                weight: 1.0,
             };
             let upright = Upright {
                 node: 0,
@@ -639,6 +689,27 @@ mod tests {
     }
 
     #[test]
+    fn the_newest_node_settles_where_all_would_put_it() {
+        let (_, mut graph) = rounds(60, 0.05);
+        let newest = graph.nodes.len() - 1;
+        // Edges come with their nodes.
+        graph.edges.sort_by_key(|edge| edge.to);
+        graph.edges.push(Edge {
+            from: newest - 60,
+            to: newest,
+            measured: graph.nodes[newest - 60].inverse() * graph.nodes[newest],
+            information: Matrix6::identity() * 1e4,
+            is_closure: true,
+        });
+        graph.optimize();
+        let all = graph.nodes.clone();
+        graph.nodes[newest] = all[newest] * some_pose(&mut 11, 0.05, 0.01);
+        graph.settle_last();
+        assert!(between(&all[newest], &graph.nodes[newest]).norm() < 1e-3);
+        assert!(graph.nodes[..newest] == all[..newest]);
+    }
+
+    #[test]
     fn positions_and_gravity_say_where_the_world_is() {
         let (truth, mut graph) = rounds(30, 0.02);
         let away = Pose {
@@ -655,6 +726,7 @@ mod tests {
                 at,
                 measured: pose.transform_point(at),
                 sigma_m: DVec3::splat(0.02),
+                weight: 1.0,
             });
         }
         graph.uprights = truth

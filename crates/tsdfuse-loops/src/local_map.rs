@@ -15,13 +15,19 @@ const THIN_M: f32 = 0.1;
 /// Points of a local map at most.
 const MOST_POINTS: usize = 25_000;
 
+/// A local map of which a smaller share of the points lies on surfaces is sparse.
+const SPARSE: f64 = 0.6;
+
 /// Planes that lean by less than this from the vertical or horizontal tell which way is up (cosine of 72°).
 const LEANING: f64 = 0.3;
 
 /// What a sensor saw along a stretch of its way, or a part of a map: surfaces in one frame, with z roughly upwards.
 #[derive(Clone, Debug)]
 pub struct LocalMap {
+    /// First those that lie on surfaces of the map itself.
     points: Vec<SurfacePoint>,
+    /// How many do.
+    telling: usize,
     /// Turns z upwards, as floors and walls tell.
     level: DQuat,
 }
@@ -43,15 +49,24 @@ impl LocalMap {
         }
         let mut map = Self {
             points,
+            telling: 0,
             level: DQuat::IDENTITY,
         };
-        map.level = level(&map.points, &map.surfaces());
+        let surfaces = map.surfaces();
+        map.level = level(&map.points, &surfaces);
+        map.points.sort_by_key(|p| surfaces.normal_at(p.at).is_none());
+        map.telling = map.points.partition_point(|p| surfaces.normal_at(p.at).is_some());
         map
     }
 
     /// Its points.
     pub fn points(&self) -> &[SurfacePoint] {
         &self.points
+    }
+
+    /// Its points that lie on surfaces of the map itself: the others, such as far ones that one beam saw, tell no surface that others could see.
+    pub(crate) fn telling(&self) -> &[SurfacePoint] {
+        &self.points[..self.telling]
     }
 
     /// Turns a point's frame so that z is up.
@@ -118,6 +133,8 @@ fn level(points: &[SurfacePoint], surfaces: &Surfaces) -> DQuat {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Gathered {
     points: Vec<(DVec3, SurfacePoint)>,
+    /// Those of the local map before.
+    before: Vec<(DVec3, SurfacePoint)>,
     /// Sums of the scans' median ranges.
     ranges: f64,
     scans: usize,
@@ -162,12 +179,20 @@ impl Gathered {
         self.ranges / self.scans.max(1) as f64
     }
 
-    /// The local map in the frame of a pose.
+    /// The local map in the frame of a pose. If few of its points lie on surfaces, as with few beams, those of the one before are in it, too.
     pub(crate) fn take(&mut self, frame: &Pose) -> LocalMap {
         let to_frame = frame.inverse();
-        let points = std::mem::take(self).points.into_iter();
-        let points = points.map(|(at, point)| point.moved(to_frame.transform_point(at).as_vec3()));
-        LocalMap::new(&points.collect::<Vec<_>>())
+        let map = |points: &mut dyn Iterator<Item = &(DVec3, SurfacePoint)>| {
+            let points = points.map(|(at, point)| point.moved(to_frame.transform_point(*at).as_vec3()));
+            LocalMap::new(&points.collect::<Vec<_>>())
+        };
+        let Self { points, before, .. } = std::mem::take(self);
+        let mut taken = map(&mut points.iter());
+        if (taken.telling as f64) < SPARSE * taken.points.len() as f64 {
+            taken = map(&mut before.iter().chain(&points));
+        }
+        self.before = points;
+        taken
     }
 }
 

@@ -7,22 +7,29 @@ use tsdfuse::Pose;
 use tsdfuse_odometry::{SurfacePoint, Surfaces};
 
 use crate::features::{Features, PIXEL_M};
-use crate::graph::right;
+use crate::graph::{between, right};
 use crate::local_map::LocalMap;
 
 /// How far surfaces are looked for at first: metres.
 const REACH_M: f64 = 1.5;
 
-/// The share of points that lie where the other map has surfaces, at least, from each of the two to the other.
+/// Of the points that tell a surface in their own map, the share that lies where the other map has one, at least, from each of the two to the other.
 const LEAST_COMMON: f64 = 0.4;
 
 /// The share of these that lie on the surfaces as well as noise allows, at least.
 const LEAST_ON: f64 = 0.75;
 
+/// How far surfaces are looked for when the place is registered to the view, metres.
+const BACK_M: f64 = 0.5;
+
+/// How far this may come out from where the view was registered to the place, metres and radians.
+const MOST_APART: (f64, f64) = (0.05, 0.01);
+
 /// Standard deviation of the position along its worst direction at most, metres.
 const LEAST_KNOWN_M: f64 = 0.05;
 
-/// What two local maps may be distorted within themselves, metres and radians: a floor for what registration says of itself.
+/// What two local maps may be distorted within themselves, metres and radians: this is added to what registration says of itself, as is how far its two
+/// directions are apart.
 const DISTORTED: (f64, f64) = (0.01, 0.001);
 
 /// Motions that are tried for each place, and places that are looked at, the most promising ones.
@@ -42,9 +49,9 @@ pub struct Found {
     pub covariance: Matrix6<f64>,
     /// Whether few points tell the position along some direction, as in a corridor: farther along it all may look the same.
     pub is_weak: bool,
-    /// Share of the view's points that lie on the place's surfaces, of those near them.
+    /// Share of these points that lie on the other's surfaces, of those near them: the smaller one of view and place.
     pub matched: f64,
-    /// Share of points near the other's surfaces: the smaller one of view and place.
+    /// Share of the points on surfaces that are near the other's surfaces: the smaller one of view and place.
     pub common: f64,
     /// Root mean square of the distances of matched points from the surfaces, metres.
     pub rms_m: f64,
@@ -173,15 +180,22 @@ fn verified(
     rough: &Pose,
 ) -> Option<Found> {
     let fit = known_surfaces.register(view.points(), rough, REACH_M);
-    let (on, near) = known_surfaces.overlap(view.points(), &fit.pose);
-    let (on_back, near_back) = view_surfaces.overlap(known.points(), &fit.pose.inverse());
+    let (on, near) = known_surfaces.overlap(view.telling(), &fit.pose);
+    let (on_back, near_back) = view_surfaces.overlap(known.telling(), &fit.pose.inverse());
     let matched = (on / near.max(1e-9)).min(on_back / near_back.max(1e-9));
     let common = near.min(near_back);
     let is_known = fit.quality.position_sigma_m <= LEAST_KNOWN_M;
     if !is_known || common < LEAST_COMMON || matched < LEAST_ON {
         return None;
     }
-    let (shift, turn) = DISTORTED;
+    // The place registered to the view: where there is a false minimum, the other way round leads out of it.
+    let back = view_surfaces.register(known.points(), &fit.pose.inverse(), BACK_M).pose;
+    let apart = between(&fit.pose, &back.inverse());
+    let (shift, turn) = (apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm());
+    if shift > MOST_APART.0 || turn > MOST_APART.1 {
+        return None;
+    }
+    let (shift, turn) = (shift.hypot(DISTORTED.0), turn.hypot(DISTORTED.1));
     let floor = [shift, shift, shift, turn, turn, turn].map(|sigma: f64| sigma * sigma);
     let covariance = right(&fit.information, fit.pose.rotation).try_inverse()? + Matrix6::from_diagonal(&floor.into());
     Some(Found {

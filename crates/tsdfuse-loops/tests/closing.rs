@@ -1,9 +1,13 @@
 //! Trajectories through simple worlds of walls, whose loops are closed or must not be.
 #![allow(clippy::unwrap_used)]
 
+use std::collections::HashMap;
+use std::path::Path;
+
 use glam::{DQuat, DVec3, Vec3};
 use tsdfuse::{Pose, Scan};
-use tsdfuse_loops::{Closer, LocalMap, LoopConfig, Places};
+use tsdfuse_io::g2o;
+use tsdfuse_loops::{Closer, Edge, LocalMap, LoopConfig, Places, PoseGraph};
 use tsdfuse_odometry::{Quality, SurfacePoint};
 
 /// How far the sensor sees, metres.
@@ -294,4 +298,37 @@ fn a_place_is_found_without_any_idea_where_it_is() {
     });
     let best = off.fold(f64::INFINITY, f64::min);
     assert!(best < 0.05, "{best} {found:?}");
+}
+
+/// A graph that another program solved (`data/graph.py`, by scipy, with derivatives by differences).
+#[test]
+fn the_optimum_is_that_of_another_solver() {
+    let read = |name: &str| {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name);
+        g2o::read(path).unwrap()
+    };
+    let (begin, optimum) = (read("graph.g2o"), read("optimum.g2o"));
+    let place: HashMap<u64, usize> = begin.nodes.iter().enumerate().map(|(n, (id, _))| (*id, n)).collect();
+    let edges = begin.edges.iter().map(|edge| Edge {
+        from: place[&edge.from],
+        to: place[&edge.to],
+        measured: edge.measured,
+        information: Edge::information_of(&edge.information),
+        is_closure: false,
+    });
+    let mut graph = PoseGraph {
+        nodes: begin.nodes.iter().map(|(_, pose)| *pose).collect(),
+        edges: edges.collect(),
+        ..PoseGraph::default()
+    };
+    let done = graph.optimize();
+    assert!((done.cost_before / 50_677.776_136 - 1.0).abs() < 1e-6, "{done:?}");
+    assert!((done.cost / 25.145_012_922 - 1.0).abs() < 1e-7, "{done:?}");
+    for (own, (_, theirs)) in graph.nodes.iter().zip(&optimum.nodes) {
+        let off = theirs.inverse() * *own;
+        assert!(
+            off.translation.length() < 1e-5 && off.rotation.to_scaled_axis().length() < 1e-5,
+            "{off:?}"
+        );
+    }
 }

@@ -4,10 +4,16 @@ use std::collections::HashMap;
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
-use tsdfuse::{Pose, Scan};
-use tsdfuse_io::g2o;
-use tsdfuse_loops::{Closer, Closure, LoopConfig};
+use tsdfuse::glam::DVec3;
+use tsdfuse::{ImuSample, Pose, Scan};
+use tsdfuse_io::{GnssFix, Log, g2o};
+use tsdfuse_loops::{Anchoring, Closer, Closure, Fix, LoopConfig};
 use tsdfuse_odometry::Quality;
+
+use crate::error::Result;
+
+/// What a GNSS receiver is off that does not tell it, metres (standard deviation): along both horizontal axes, and vertically.
+const USUAL_SIGMA_M: (f64, f64) = (3.0, 6.0);
 
 /// The loops of a trajectory.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -20,6 +26,12 @@ pub struct LoopsReport {
     pub distrusted: usize,
     /// Places that were recognised, with the scans' numbers in the log.
     pub closures: Vec<Closure>,
+    /// What GNSS and gravity told, if the log has either.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub anchoring: Option<Anchoring>,
+    /// Latitude, longitude (degrees, WGS 84) and height (metres) of the first fix, the origin of the fixes' world (east, north, up).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fixes_origin: Option<[f64; 3]>,
 }
 
 /// Scans of a log on their way to corrections.
@@ -27,6 +39,8 @@ pub(crate) struct Loops {
     closer: Closer,
     /// Their numbers in the log.
     indices: Vec<usize>,
+    /// The first GNSS fix.
+    origin: Option<GnssFix>,
     seconds: f64,
 }
 
@@ -41,12 +55,39 @@ pub(crate) struct Corrections {
 }
 
 impl Loops {
-    pub(crate) fn new(config: LoopConfig) -> Self {
-        Self {
-            closer: Closer::new(config),
-            indices: Vec::new(),
-            seconds: 0.0,
+    /// Of a log, whose GNSS and IMU tell about its trajectory, too.
+    ///
+    /// # Errors
+    /// If these cannot be read.
+    pub(crate) fn of(log: &Log, config: LoopConfig) -> Result<Self> {
+        let mut closer = Closer::new(config);
+        let sensor_from_body = log
+            .sensors()
+            .first()
+            .map_or(Pose::IDENTITY, |sensor| sensor.body_from_sensor.inverse());
+        let fixes = if config.gnss { log.gnss()? } else { Vec::new() };
+        let origin = fixes.first().copied();
+        if let Some(origin) = &origin {
+            let (flat, up) = USUAL_SIGMA_M;
+            closer.push_fixes(fixes.iter().map(|fix| Fix {
+                time_ns: fix.time_ns,
+                place: fix.seen_from(origin),
+                sigma_m: fix.sigma_m.map_or(DVec3::new(flat, flat, up), DVec3::from_array),
+                antenna: sensor_from_body.transform_point(DVec3::from_array(fix.antenna_m)),
+            }));
         }
+        if config.gravity {
+            closer.push_imu(log.imu()?.into_iter().map(|sample| ImuSample {
+                acceleration: sensor_from_body.rotation * sample.acceleration,
+                ..sample
+            }));
+        }
+        Ok(Self {
+            closer,
+            indices: Vec::new(),
+            origin,
+            seconds: 0.0,
+        })
     }
 
     /// Takes the next scan, which is placed.
@@ -76,6 +117,10 @@ impl Loops {
                 local_maps: closer.graph().nodes.len(),
                 distrusted: closer.distrusted(),
                 closures: closures.collect(),
+                anchoring: closer.anchoring().copied(),
+                fixes_origin: self
+                    .origin
+                    .map(|fix| [fix.latitude_deg, fix.longitude_deg, fix.altitude_m]),
             },
             graph: graph(closer, indices),
         }

@@ -38,6 +38,18 @@ pub fn peak_memory_bytes() -> Option<u64> {
     own_status("VmHWM:")
 }
 
+/// Seconds that all processors have worked for this process so far, in hundredths, where the system tells (Linux).
+pub fn cpu_secs() -> Option<f64> {
+    /// What the kernel counts in, whatever its own clock (`USER_HZ`).
+    const TICKS_PER_SEC: f64 = 100.0;
+    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+    // The name of the program, in brackets, may hold anything.
+    let (_, fields) = stat.rsplit_once(')')?;
+    let mut times = fields.split_whitespace().skip(11).map(str::parse::<f64>);
+    let (user, system) = (times.next()?.ok()?, times.next()?.ok()?);
+    Some((user + system) / TICKS_PER_SEC)
+}
+
 /// The memory this process holds now, where the system tells (Linux).
 #[cfg(feature = "live")]
 pub(crate) fn memory_bytes() -> Option<u64> {
@@ -79,6 +91,18 @@ mod tests {
     #[test]
     fn linux_tells_the_peak_memory() {
         assert!(peak_memory_bytes().unwrap() > 1 << 20);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn linux_tells_the_time_that_processors_worked() {
+        let before = cpu_secs().unwrap();
+        let begun = std::time::Instant::now();
+        let mut value = 1_u64;
+        while cpu_secs().unwrap() < before + 0.05 {
+            value = std::hint::black_box(value.wrapping_mul(3));
+            assert!(begun.elapsed().as_secs() < 60);
+        }
     }
 
     #[test]

@@ -203,7 +203,7 @@ impl Refinement {
         let mut refined: HashMap<usize, Refined> = HashMap::new();
         let mut closed = None;
         if loops.is_some() || mounting.is_some() {
-            let mut loops = loops.map(Loops::new);
+            let mut loops = loops.map(|loops| Loops::of(log, loops)).transpose()?;
             for read in log.read_indices(indices.to_vec()) {
                 if stop.is_stopped() {
                     break;
@@ -306,7 +306,7 @@ impl Refinement {
     ) -> Result<Self> {
         let start = Instant::now();
         let mut tracking = Tracking::new(log, config, limits)?;
-        let mut loops = Loops::new(loops);
+        let mut loops = Loops::of(log, loops)?;
         let mut refined = HashMap::new();
         let mut take = |placed: Vec<(ReadScan, Option<Quality>)>| {
             for (read, quality) in placed {
@@ -485,7 +485,7 @@ pub fn track(
 ) -> Result<Track> {
     let mut tracking = Tracking::new(log, config, limits)?;
     let mut all = Vec::new();
-    let mut loops = loops.map(Loops::new);
+    let mut loops = loops.map(|loops| Loops::of(log, loops)).transpose()?;
     let mut take = |placed: Vec<(ReadScan, Option<Quality>)>| {
         for (read, quality) in placed {
             let index = read.index;

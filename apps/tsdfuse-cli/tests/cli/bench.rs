@@ -178,6 +178,15 @@ fn a_long_drive_makes_new_blocks_in_each_pass() {
 }
 
 #[test]
+fn a_long_drive_is_tracked_lap_after_lap() {
+    let drive = ["bench", "--long-drive", "230", "--poses", "track"];
+    let results = tsdfuse(&[&drive[..], &["--json"]].concat()).succeeded().json();
+    assert_eq!(results["laps"].as_array().unwrap().len(), 2);
+    assert!(number(&results["error_m"]) < 0.1, "{results}");
+    assert!(number(&results["laps"][1]["closures"]) > 0.0, "{results}");
+}
+
+#[test]
 fn what_cannot_be_measured_is_refused_before_the_work() {
     for (arguments, told) in [
         (
@@ -192,6 +201,22 @@ fn what_cannot_be_measured_is_refused_before_the_work() {
         (
             &["bench", "--long-drive", "100", "--scans", "0..3"],
             "--long-drive simulates its own scans",
+        ),
+        (
+            &["bench", "--long-drive", "100", "--poses", "refine"],
+            "only --poses track goes with it",
+        ),
+        (
+            &[
+                "bench",
+                "--long-drive",
+                "100",
+                "--poses",
+                "track",
+                "--methods",
+                "raycast",
+            ],
+            "makes no map",
         ),
         (
             &["bench", "--long-drive", "100", "--methods", "raycast,normals"],

@@ -188,6 +188,66 @@ fn runs_that_are_killed_lose_nothing_that_was_stored() {
     assert!(fs::read(&map).unwrap() == fs::read(&whole).unwrap(), "{}", last.stderr);
 }
 
+/// Through a hall and back, without poses: each scan comes once more on the way back.
+fn there_and_back(folder: &Folder) -> String {
+    let there = folder.simulate("there", "hall", "vlp16", 80, &[]);
+    for (kind, extension) in [("velodyne", "bin"), ("rings", "u16")] {
+        fs::create_dir_all(folder.path("drive").join(kind)).unwrap();
+        for scan in 0..79 {
+            let from = if scan < 40 { scan } else { 78 - scan };
+            let path = |of: &str, scan: u32| folder.path(of).join(kind).join(format!("{scan:06}.{extension}"));
+            fs::copy(path(&there, from), path("drive", scan)).unwrap();
+        }
+    }
+    folder.text("drive")
+}
+
+#[test]
+fn a_run_that_closes_loops_and_is_killed_ends_with_the_same_map() {
+    let folder = Folder::new();
+    let drive = there_and_back(&folder);
+    let [whole, map, store] = ["whole.tsdf", "map.tsdf", "drive.store"].map(|name| folder.text(name));
+    let fuse = [
+        "fuse",
+        &drive,
+        "--voxel-size",
+        "0.1",
+        "--method",
+        "raycast",
+        "--set",
+        "loops.gap_m=6",
+    ];
+    let report = tsdfuse(&[&fuse[..], &["--save-map", &whole, "--json"]].concat());
+    let report = report.succeeded().json();
+    let closures = report["odometry"]["loops"]["closures"].as_array().unwrap();
+    assert!(!closures.is_empty(), "{report}");
+    let begin = [
+        &fuse[..],
+        &["--save-map", &map, "--store", &store, "--commit-every", "4"],
+    ]
+    .concat();
+    // Once when the first scans are stored, and twice more later: each time, all scans are tracked again.
+    for _ in 0..3 {
+        let arguments = if fs::exists(&store).unwrap() {
+            vec!["resume", &store]
+        } else {
+            begin.clone()
+        };
+        let mut child = command(&arguments).stdout(Stdio::null()).spawn().unwrap();
+        let mut told = BufReader::new(child.stderr.take().unwrap())
+            .lines()
+            .map_while(Result::ok);
+        assert!(told.any(|line| line.contains("stored ")));
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    let last = tsdfuse(&["resume", &store]).succeeded();
+    let from = last.stderr.split_once("continuing after ").unwrap().1;
+    let from: usize = from.split_whitespace().next().unwrap().parse().unwrap();
+    assert!((4..79).contains(&from), "{from}");
+    assert!(fs::read(&map).unwrap() == fs::read(&whole).unwrap(), "{}", last.stderr);
+}
+
 #[cfg(unix)]
 #[test]
 fn a_full_disk_is_told_and_the_store_stays_what_it_was() {

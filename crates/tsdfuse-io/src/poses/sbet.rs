@@ -9,7 +9,7 @@ use std::path::Path;
 use tsdfuse::Trajectory;
 
 use super::Poses;
-use super::geodesy::{Geographic, attitude};
+use crate::geodesy::{Geographic, attitude};
 use crate::error::{Error, Result};
 
 const RECORD: usize = 17 * 8;

@@ -23,8 +23,8 @@ use tsdfuse::glam::{DQuat, DVec3};
 use tsdfuse::{Pose, Trajectory};
 
 use super::Poses;
-use super::geodesy::{Geographic, attitude};
 use crate::error::{Error, Result};
+use crate::geodesy::{Geographic, attitude};
 use crate::text::{self, Line};
 
 /// Words for rates, accelerations and the like, whose x, y and z are no position.

@@ -5,6 +5,7 @@ use tsdfuse::sensor::Pinhole;
 use tsdfuse::{ImuSample, Pose};
 
 use super::value::Value;
+use crate::source::GnssFix;
 
 /// What a message's header says.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -103,15 +104,34 @@ pub(crate) fn imu(message: &Value<'_>) -> Result<ImuSample, String> {
     })
 }
 
-/// Latitude and longitude, degrees, and altitude, metres; `None` without a fix.
-pub(crate) fn fix(message: &Value<'_>) -> Result<Option<[f64; 3]>, String> {
+/// A `sensor_msgs/NavSatFix`, without its time; `None` if it has no fix.
+pub(crate) fn fix(message: &Value<'_>) -> Result<Option<GnssFix>, String> {
     let place = [
         message.float("latitude")?,
         message.float("longitude")?,
         message.float("altitude")?,
     ];
     let is_fix = message.int("status.status")? >= 0 && place.iter().all(|v| v.is_finite());
-    Ok(is_fix.then_some(place))
+    let covariance: Vec<f64> = message.numbers("position_covariance")?.iter().collect();
+    let sigma_m = match covariance.as_slice() {
+        // Of an unknown covariance the type is 0.
+        &[east, _, _, _, north, _, _, _, up] if message.int("position_covariance_type")? > 0 => {
+            let sigmas = [east, north, up].map(f64::sqrt);
+            sigmas
+                .iter()
+                .all(|sigma| sigma.is_finite() && *sigma > 0.0)
+                .then_some(sigmas)
+        }
+        _ => None,
+    };
+    let [latitude_deg, longitude_deg, altitude_m] = place;
+    Ok(is_fix.then_some(GnssFix {
+        latitude_deg,
+        longitude_deg,
+        altitude_m,
+        sigma_m,
+        ..GnssFix::default()
+    }))
 }
 
 /// A `sensor_msgs/CameraInfo`: the camera, and OpenCV's five coefficients where that is the model.

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use tsdfuse::glam::DVec3;
 use tsdfuse::scan::PoseAt;
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::trajectory::{ns_after, secs_between};
@@ -36,7 +37,8 @@ pub(crate) struct Recording {
     places: Vec<(usize, usize)>,
     trajectory: Option<Trajectory>,
     imu: Option<Inertial>,
-    gnss: Vec<usize>,
+    /// Channels of GNSS receivers, and where their antennas are in the body frame, if frames tell.
+    gnss: Vec<(usize, [f64; 3])>,
     survey: Survey,
     images: Vec<ImageRef>,
     /// Channel and message of each image.
@@ -492,22 +494,27 @@ impl Recording {
                 .filter(|number| self.survey.stamps.contains_key(number))
                 .collect::<Vec<_>>()
         };
-        self.gnss = of(Use::Gnss);
+        let body = motion.map(|m| m.body.as_str());
+        let body = body
+            .or(self.lidars.first().map(|lidar| lidar.frame.as_str()))
+            .unwrap_or_default();
+        let frame_of = |channel: &usize| {
+            let stamps = self.survey.stamps.get(channel);
+            stamps.map_or("", |stamps| stamps.frame.as_str())
+        };
+        let antenna = |channel: usize| {
+            let body_from_antenna = self.survey.frames.between(body, frame_of(&channel));
+            let at = body_from_antenna.map_or(DVec3::ZERO, |pose| pose.translation);
+            (channel, at.to_array())
+        };
+        self.gnss = of(Use::Gnss).into_iter().map(antenna).collect();
         let mut units = of(Use::Imu);
         units.sort_by_key(|&number| std::cmp::Reverse(self.bag.entries(number).len()));
         let Some((&channel, others)) = units.split_first() else {
             self.find_imu_packets(motion);
             return;
         };
-        let frame = self
-            .survey
-            .stamps
-            .get(&channel)
-            .map_or("", |stamps| stamps.frame.as_str());
-        let body = motion.map(|m| m.body.as_str());
-        let body = body
-            .or(self.lidars.first().map(|lidar| lidar.frame.as_str()))
-            .unwrap_or_default();
+        let frame = frame_of(&channel);
         let is_same = frame.trim_start_matches('/') == body.trim_start_matches('/');
         let body_from_imu = if is_same {
             Some(Pose::IDENTITY)
@@ -749,18 +756,15 @@ impl Source for Recording {
 
     fn gnss(&self) -> Result<Vec<GnssFix>> {
         let mut fixes = Vec::new();
-        for &channel in &self.gnss {
+        for &(channel, antenna_m) in &self.gnss {
             let told = self.survey.schemas.get(&channel).zip(self.survey.stamps.get(&channel));
             let Some((schema, stamps)) = told else { continue };
             for (entry, &time_ns) in self.bag.entries(channel).iter().zip(&stamps.times_ns) {
-                if let Some([latitude_deg, longitude_deg, altitude_m]) =
-                    with_message(&self.bag, channel, schema, entry, messages::fix)?
-                {
+                if let Some(fix) = with_message(&self.bag, channel, schema, entry, messages::fix)? {
                     fixes.push(GnssFix {
                         time_ns,
-                        latitude_deg,
-                        longitude_deg,
-                        altitude_m,
+                        antenna_m,
+                        ..fix
                     });
                 }
             }

@@ -43,7 +43,7 @@ impl Geographic {
     ///
     /// # Errors
     /// If no place on the earth is there.
-    pub(super) fn body(self, rotation: DQuat, origin: &mut Option<Self>) -> Result<Pose, &'static str> {
+    pub(crate) fn body(self, rotation: DQuat, origin: &mut Option<Self>) -> Result<Pose, &'static str> {
         let [latitude, longitude, height] = [self.latitude_deg, self.longitude_deg, self.height_m].map(f64::abs);
         if !(latitude <= 90.0 && longitude <= 360.0 && height <= 1e5) {
             return Err("no place on the earth has this latitude, longitude and height");
@@ -62,7 +62,7 @@ impl Geographic {
 }
 
 /// How a body (x forward, y left, z up) is turned against east, north and up: right side down, nose up, clockwise from north, radians.
-pub(super) fn attitude([roll, pitch, heading]: [f64; 3]) -> DQuat {
+pub(crate) fn attitude([roll, pitch, heading]: [f64; 3]) -> DQuat {
     DQuat::from_rotation_z(FRAC_PI_2 - heading) * DQuat::from_rotation_y(-pitch) * DQuat::from_rotation_x(roll)
 }
 
