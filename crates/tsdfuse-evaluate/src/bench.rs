@@ -20,7 +20,7 @@ pub use compare::Bench;
 #[cfg(feature = "gpu")]
 pub use gpu::{GpuResults, Kernel, MeasuredGpu, on_gpu};
 pub use limits::Limits;
-pub use live::{Live, LiveResults, Sweep};
+pub use live::{Live, LiveResults, Stages, Sweep};
 pub use long_drive::{LongDrive, LongDriveResults, Pass, Stored};
 pub use results::{Data, Measured, Results};
 pub use run::Run;

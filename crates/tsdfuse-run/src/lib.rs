@@ -69,7 +69,7 @@ pub use layers::{Colors, Layers};
 #[cfg(feature = "live")]
 pub use live::LiveRun;
 pub use loops::LoopsReport;
-pub use machine::{Machine, peak_memory_bytes};
+pub use machine::{Machine, cpu_secs, peak_memory_bytes};
 pub use outputs::{Outputs, check as check_outputs, check_file};
 pub use poses_from::PosesFrom;
 pub use recording::Recording;

@@ -38,6 +38,18 @@ pub fn peak_memory_bytes() -> Option<u64> {
     own_status("VmHWM:")
 }
 
+/// The processors' time that this process has taken so far, of all threads, seconds; where the system tells (Unix).
+pub fn cpu_secs() -> Option<f64> {
+    #[cfg(unix)]
+    return Some(
+        std::time::Duration::try_from(rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime))
+            .ok()?
+            .as_secs_f64(),
+    );
+    #[cfg(not(unix))]
+    None
+}
+
 /// The memory this process holds now, where the system tells (Linux).
 #[cfg(feature = "live")]
 pub(crate) fn memory_bytes() -> Option<u64> {
