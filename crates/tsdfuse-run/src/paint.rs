@@ -28,8 +28,8 @@ const BEHIND_VOXELS: f32 = 3.0;
 /// Surface farther from the camera than this gets no colour: a pixel is then as large as a few voxels.
 const FARTHEST_M: f32 = 80.0;
 
-/// The least cosine between the normal and the way to the camera.
-const LEAST_COS: f32 = 0.1;
+/// The least cosine between the normal and the way to the camera: a road is seen up to some 50 m away.
+const LEAST_COS: f32 = 0.03;
 
 /// Vertices that exposures are found from, about.
 const SAMPLES: usize = 20_000;
@@ -204,7 +204,8 @@ impl Shot<'_> {
             .map(|(column, row)| depths.at(column, row))
             .fold(f32::INFINITY, f32::min);
         // Grazing surface is much deeper within three pixels.
-        depth_m > depths.at(column, row) + behind_m || depth_m > first + 0.05 * depth_m + 4.0 * behind_m
+        depth_m > depths.between([u, v].map(|x| (x + 0.5) / scale - 0.5)) + behind_m
+            || depth_m > first + 0.05 * depth_m + 4.0 * behind_m
     }
 }
 
@@ -256,6 +257,19 @@ impl Depths {
             height,
             metres: nearest.into_iter().map(f32::recip).collect(),
         }
+    }
+
+    /// Between the four pixels around a place: exact on planes, whose inverse depth is linear, however grazing they are.
+    fn between(&self, [u, v]: [f32; 2]) -> f32 {
+        let (column, row) = (u.max(0.0), v.max(0.0));
+        let (s, t) = (column.fract(), row.fract());
+        let (column, row) = (column as usize, row as usize);
+        let inverse = |dx: usize, dy: usize| {
+            let at = (column + dx).min(self.width - 1);
+            self.at(at, (row + dy).min(self.height - 1)).recip()
+        };
+        let [top, bottom] = [0, 1].map(|dy| inverse(0, dy) + s * (inverse(1, dy) - inverse(0, dy)));
+        (top + t * (bottom - top)).recip()
     }
 
     /// Beyond the picture, nothing is seen.
