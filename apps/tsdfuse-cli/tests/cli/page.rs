@@ -11,7 +11,7 @@ use crate::run::{Folder, tsdfuse};
 const SIZE: [usize; 2] = [800, 600];
 
 /// A simulated street as a page and as a map.
-fn street(folder: &Folder) -> [String; 2] {
+fn street(folder: &Folder, voxel_size_m: f64) -> [String; 2] {
     let log = folder.simulate("log", "street", "vlp16", 6, &[]);
     let (page, map) = (folder.text("street.html"), folder.text("street.tsdf"));
     tsdfuse(&[
@@ -22,7 +22,7 @@ fn street(folder: &Folder) -> [String; 2] {
         "--save-map",
         &map,
         "--voxel-size",
-        "0.2",
+        &voxel_size_m.to_string(),
         "--truncation",
         "0.6",
     ])
@@ -63,7 +63,7 @@ fn agreement(shot: &Shot, seen: &[bool]) -> f64 {
 fn a_page_shows_what_the_renderer_sees_and_asks_nobody() {
     let Some(chromium) = chromium() else { return };
     let folder = Folder::new();
-    let [page, map] = street(&folder);
+    let [page, map] = street(&folder, 0.2);
     let mut browser = Browser::open(&chromium, &format!("file://{page}"), SIZE);
     browser.eval("tsdfuse.setMode('shaded')");
     browser.key("KeyP"); // the path is no surface
@@ -131,7 +131,7 @@ fn a_page_shows_what_the_renderer_sees_and_asks_nobody() {
 fn keys_and_fingers_move_measure_cut_and_colour() {
     let Some(chromium) = chromium() else { return };
     let folder = Folder::new();
-    let [page, _] = street(&folder);
+    let [page, _] = street(&folder, 0.2);
     let mut browser = Browser::open(&chromium, &format!("file://{page}"), SIZE);
     let first = browser.state();
     assert!(
@@ -270,7 +270,7 @@ fn keys_and_fingers_move_measure_cut_and_colour() {
 fn frames_draw_what_is_in_view_and_upload_nothing() {
     let Some(chromium) = chromium() else { return };
     let folder = Folder::new();
-    let [page, _] = street(&folder);
+    let [page, _] = street(&folder, 0.07);
     let mut browser = Browser::open(&chromium, &format!("file://{page}"), SIZE);
     // All of it has been in view once.
     browser.eval("tsdfuse.look([0, -400, 300], [0, 0, 0])");
