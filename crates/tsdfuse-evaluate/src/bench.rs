@@ -21,7 +21,7 @@ pub use compare::Bench;
 #[cfg(feature = "gpu")]
 pub use gpu::{GpuResults, Kernel, MeasuredGpu, on_gpu};
 pub use limits::Limits;
-pub use live::{Live, LiveResults, Sweep};
+pub use live::{Live, LiveResults, Stages, Sweep};
 pub use long_drive::{LongDrive, LongDriveResults, Pass, Stored};
 pub use long_track::{Lap, LongTrack, LongTrackResults};
 pub use results::{Data, Measured, Results};

@@ -39,7 +39,8 @@ pub fn write(path: impl AsRef<Path>, grid: &OccupancyGrid) -> Result<PathBuf> {
         let mut bytes = rows.clone().flatten().map(|cost| cost.unwrap_or(UNKNOWN));
         bytes.try_for_each(|byte| out.write_all(&[byte]))
     })?;
-    let DVec2 { x, y } = grid.origin;
+    // To a nanometre: sums of cells end in digits that mean nothing.
+    let [x, y] = grid.origin.to_array().map(|at| (at * 1e9).round() / 1e9);
     crate::atomic::write(path, |out| {
         write!(
             out,
@@ -75,7 +76,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("map.yaml");
         let grid = OccupancyGrid {
-            origin: DVec2::new(-1.5, 2.0),
+            origin: DVec2::new(-1.5, 3.0 * 0.2),
             cell_m: 0.25,
             width: 3,
             costs: vec![Some(0), Some(1), None, Some(100), Some(50), Some(99)],
@@ -87,7 +88,7 @@ mod tests {
         );
         let yaml = std::fs::read_to_string(&path).unwrap();
         assert!(
-            yaml.starts_with("image: \"map.pgm\"\nmode: raw\nresolution: 0.25\norigin: [-1.5, 2, 0]\n"),
+            yaml.starts_with("image: \"map.pgm\"\nmode: raw\nresolution: 0.25\norigin: [-1.5, 0.6, 0]\n"),
             "{yaml}"
         );
     }

@@ -90,7 +90,8 @@ pub trait Observer {
     fn on(&mut self, event: Event<'_>);
 
     /// Whether it wants to be told what changed of the surface, without asking for it after a certain number of scans: it is then
-    /// told as often as that takes, with all it does meanwhile, no more than this share of the time. 0: not now, but maybe later.
+    /// told as often as that takes, with all it does meanwhile, no more than this share of the time, and half of the time that is spent
+    /// waiting for a live sensor. 0: not now, but maybe later.
     fn surface_share(&self) -> Option<f64> {
         None
     }

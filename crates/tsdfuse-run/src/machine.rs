@@ -38,16 +38,16 @@ pub fn peak_memory_bytes() -> Option<u64> {
     own_status("VmHWM:")
 }
 
-/// Seconds that all processors have worked for this process so far, in hundredths, where the system tells (Linux).
+/// The processors' time that this process has taken so far, of all threads, seconds; where the system tells (Unix).
 pub fn cpu_secs() -> Option<f64> {
-    /// What the kernel counts in, whatever its own clock (`USER_HZ`).
-    const TICKS_PER_SEC: f64 = 100.0;
-    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // The name of the program, in brackets, may hold anything.
-    let (_, fields) = stat.rsplit_once(')')?;
-    let mut times = fields.split_whitespace().skip(11).map(str::parse::<f64>);
-    let (user, system) = (times.next()?.ok()?, times.next()?.ok()?);
-    Some((user + system) / TICKS_PER_SEC)
+    #[cfg(unix)]
+    return Some(
+        std::time::Duration::try_from(rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime))
+            .ok()?
+            .as_secs_f64(),
+    );
+    #[cfg(not(unix))]
+    None
 }
 
 /// The memory this process holds now, where the system tells (Linux).

@@ -6,6 +6,8 @@
 //!              ─▶ its colour for each vertex, weighted: near and frontal views count most
 //! ```
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 use tsdfuse::glam::{DVec3, Vec3};
 use tsdfuse::sensor::Pinhole;
@@ -28,8 +30,12 @@ const BEHIND_VOXELS: f32 = 3.0;
 /// Surface farther from the camera than this gets no colour: a pixel is then as large as a few voxels.
 const FARTHEST_M: f32 = 80.0;
 
-/// The least cosine between the normal and the way to the camera.
-const LEAST_COS: f32 = 0.1;
+/// The least cosine between the normal and the way to the camera: a road is seen up to some 50 m away.
+const LEAST_COS: f32 = 0.03;
+
+/// Vertices that no image sees take the colour of those beside them, over so many edges: where surface is grazed, noise hides every other
+/// vertex.
+const SPREAD_EDGES: usize = 3;
 
 /// Vertices that exposures are found from, about.
 const SAMPLES: usize = 20_000;
@@ -47,7 +53,7 @@ const BRIGHT: f32 = 243.0;
 pub struct Painted {
     /// sRGB of each vertex.
     pub colors: Vec<[u8; 3]>,
-    /// Vertices that some image sees; the others are [`UNSEEN`].
+    /// Vertices that some image sees, or sees beside them; the others are [`UNSEEN`].
     pub seen: usize,
     /// Images that were used.
     pub images: usize,
@@ -103,6 +109,7 @@ pub fn paint(mesh: &Mesh, voxel_size_m: f64, log: &Log, observer: &mut dyn Obser
             }
         });
     }
+    spread(&mesh.triangles, &mut sums);
     let color = |(light, weight): &(Vec3, f32)| {
         if *weight > 0.0 {
             (*light / *weight).to_array().map(srgb)
@@ -116,6 +123,26 @@ pub fn paint(mesh: &Mesh, voxel_size_m: f64, log: &Log, observer: &mut dyn Obser
         images: usable.len(),
         gains,
     })
+}
+
+/// Gives vertices without light the mean of those that they share a triangle with, some rounds long.
+fn spread(triangles: &[[u32; 3]], sums: &mut [(Vec3, f32)]) {
+    for _ in 0..SPREAD_EDGES {
+        let is_dark = |vertex: u32| sums[vertex as usize].1 <= 0.0;
+        let mut found: BTreeMap<u32, (Vec3, f32)> = BTreeMap::new();
+        for corners in triangles {
+            for vertex in corners.iter().copied().filter(|vertex| is_dark(*vertex)) {
+                for beside in corners.iter().copied().filter(|beside| !is_dark(*beside)) {
+                    let (light, weight) = sums[beside as usize];
+                    let mean = found.entry(vertex).or_default();
+                    *mean = (mean.0 + light / weight, mean.1 + 1.0);
+                }
+            }
+        }
+        for (vertex, mean) in found {
+            sums[vertex as usize] = mean;
+        }
+    }
 }
 
 /// Reads an image, and finds out what hides what from its camera.
@@ -204,7 +231,8 @@ impl Shot<'_> {
             .map(|(column, row)| depths.at(column, row))
             .fold(f32::INFINITY, f32::min);
         // Grazing surface is much deeper within three pixels.
-        depth_m > depths.at(column, row) + behind_m || depth_m > first + 0.05 * depth_m + 4.0 * behind_m
+        depth_m > depths.between([u, v].map(|x| (x + 0.5) / scale - 0.5)) + behind_m
+            || depth_m > first + 0.05 * depth_m + 4.0 * behind_m
     }
 }
 
@@ -256,6 +284,19 @@ impl Depths {
             height,
             metres: nearest.into_iter().map(f32::recip).collect(),
         }
+    }
+
+    /// Between the four pixels around a place: exact on planes, whose inverse depth is linear, however grazing they are.
+    fn between(&self, [u, v]: [f32; 2]) -> f32 {
+        let (column, row) = (u.max(0.0), v.max(0.0));
+        let (s, t) = (column.fract(), row.fract());
+        let (column, row) = (column as usize, row as usize);
+        let inverse = |dx: usize, dy: usize| {
+            let at = (column + dx).min(self.width - 1);
+            self.at(at, (row + dy).min(self.height - 1)).recip()
+        };
+        let [top, bottom] = [0, 1].map(|dy| inverse(0, dy) + s * (inverse(1, dy) - inverse(0, dy)));
+        (top + t * (bottom - top)).recip()
     }
 
     /// Beyond the picture, nothing is seen.
@@ -439,6 +480,31 @@ mod tests {
             );
         }
         assert_eq!((depths.at(64, 0), depths.at(0, 48)), (f32::INFINITY, f32::INFINITY));
+    }
+
+    /// A strip of triangles, of which both ends are seen.
+    #[test]
+    fn what_is_grazed_takes_the_colour_of_what_is_beside_it() {
+        let triangles: Vec<[u32; 3]> = (0..10).map(|i| [i, i + 1, i + 2]).collect();
+        let mut sums = vec![(Vec3::ZERO, 0.0); 12];
+        sums[0] = (Vec3::X * 2.0, 2.0);
+        sums[11] = (Vec3::Y * 3.0, 3.0);
+        spread(&triangles, &mut sums);
+        let colors: Vec<Vec3> = sums.iter().map(|(light, weight)| *light / weight.max(1.0)).collect();
+        // Two vertices further in each round; in the last, both colours meet.
+        assert_eq!(colors[..5], [Vec3::X; 5]);
+        assert_eq!(colors[7..], [Vec3::Y; 5]);
+        let mixed = |vertex: usize| sums[vertex].0 / sums[vertex].1;
+        assert!(
+            [5, 6].map(mixed).iter().all(|color| color.x > 0.2 && color.y > 0.2),
+            "{sums:?}"
+        );
+        let mut far = vec![(Vec3::ZERO, 0.0); 12];
+        far[0] = (Vec3::X, 1.0);
+        spread(&triangles, &mut far);
+        assert!(far[6].1 > 0.0 && far[7].1 == 0.0, "three rounds, not more");
+        // What was seen stays as it was.
+        assert_eq!((sums[0], sums[11]), ((Vec3::X * 2.0, 2.0), (Vec3::Y * 3.0, 3.0)));
     }
 
     #[test]

@@ -42,6 +42,12 @@ use tsdfuse_plan::{Moving, MovingConfig};
 /// Scans whose regions are loaded ahead.
 const AHEAD: usize = 3;
 
+/// Blocks that were updated since changes were told are listed up to this length before those that are in it several times are removed.
+const MOST_UNFOLLOWED: usize = 1 << 20;
+
+/// The share of the time spent waiting for a sensor that telling changes may take besides.
+const WAITING_SHARE: f64 = 0.5;
+
 /// A map on the device that fuses.
 fn open(map: VoxelMap, setup: &Setup, sensors: &[Option<SensorModel>]) -> Result<Box<dyn Backend>> {
     let config = &setup.config;
@@ -101,6 +107,8 @@ pub struct Session {
     most_unfollowed: usize,
     /// Seconds that telling changes took.
     following_secs: f64,
+    /// Seconds that a sensor's scans were waited for; files are read by others meanwhile, who need the processors.
+    waiting_secs: f64,
     full: Option<String>,
     stopped: bool,
     finish: FinishReport,
@@ -270,8 +278,9 @@ impl Session {
             loaded: None,
             changes: Changes::default(),
             unfollowed: Vec::new(),
-            most_unfollowed: 1 << 16,
+            most_unfollowed: MOST_UNFOLLOWED,
             following_secs: 0.0,
+            waiting_secs: 0.0,
             full: None,
             stopped: false,
             finish: FinishReport::default(),
@@ -392,6 +401,9 @@ impl Session {
             return Ok(false);
         };
         let wait = waiting.elapsed().as_secs_f64();
+        if self.log.len().is_none() {
+            self.waiting_secs += wait;
+        }
         self.next.pop_front();
         match &mut self.placer {
             Placer::Odometry(tracking) => {
@@ -615,7 +627,11 @@ impl Session {
             (Some(every), _) => self.scans.len().is_multiple_of(every.max(1)),
             // What was evicted meanwhile could not be meshed any more.
             (None, Some(_)) if self.setup.is_paged() => true,
-            (None, Some(share)) => self.following_secs < share * self.begun.elapsed().as_secs_f64(),
+            (None, Some(share)) if share <= 0.0 => false,
+            (None, Some(share)) => {
+                let budget_secs = share * self.begun.elapsed().as_secs_f64() + WAITING_SHARE * self.waiting_secs;
+                self.following_secs < budget_secs
+            }
             (None, None) => return Ok(()),
         };
         self.unfollowed.extend(updated);
@@ -625,7 +641,7 @@ impl Session {
         if self.unfollowed.len() > self.most_unfollowed {
             self.unfollowed.sort_unstable();
             self.unfollowed.dedup();
-            self.most_unfollowed = (2 * self.unfollowed.len()).max(1 << 16);
+            self.most_unfollowed = (2 * self.unfollowed.len()).max(MOST_UNFOLLOWED);
         }
         Ok(())
     }

@@ -110,8 +110,14 @@ const tsdfuse = (() => {
     screen: `out vec2 uvs; void main() { uvs = uv; gl_Position = vec4(position.xy, 0.0, 1.0); }`,
     dome: `
       precision highp float;
-      uniform sampler2D image, depth; uniform vec2 pixel; uniform vec2 range;
+      uniform sampler2D image, depth; uniform vec2 pixel; uniform vec2 range; uniform vec2 edge; uniform mat4 turned; uniform bool sky;
       in vec2 uvs; out vec4 shown;
+      // The colour of what lies behind all surface in a direction: a horizon, wherever the camera looks.
+      vec3 behind(float up) {
+        vec3 above = mix(vec3(0.91, 0.935, 0.955), vec3(0.63, 0.745, 0.86), smoothstep(0.0, 0.6, up));
+        vec3 below = mix(vec3(0.76, 0.80, 0.84), vec3(0.55, 0.62, 0.70), smoothstep(0.0, 0.9, -up));
+        return mix(below, above, smoothstep(-0.004, 0.004, up));
+      }
       float far(vec2 at) {
         float d = texture(depth, at).x;
         if (d >= 1.0) return 40.0;
@@ -120,12 +126,15 @@ const tsdfuse = (() => {
       void main() {
         vec4 seen = texture(image, uvs);
         float here = far(uvs), sum = 0.0;
-        for (int i = 0; i < 8; i++) {
+        // Pixels that surface covers in part have the depth of what is behind it: they are no edge.
+        for (int i = 0; i < 8 && here < 40.0; i++) {
           float a = 0.7853982 * float(i);
           float there = far(uvs + 1.4 * pixel * vec2(cos(a), sin(a)));
           sum += clamp(here - there, 0.0, 0.12);
         }
-        shown = vec4(seen.rgb * exp(-2.2 * sum), seen.a);
+        seen.rgb *= exp(-2.2 * sum);
+        vec3 way = mat3(turned) * vec3((2.0 * uvs - 1.0) * edge, -1.0);
+        shown = sky ? vec4(seen.rgb + (1.0 - seen.a) * behind(way.z / length(way)), 1.0) : seen;
       }`,
   };
   const MODES = { shaded: 0, height: 1, normal: 2, colour: 3, scalar: 4 };
@@ -159,6 +168,7 @@ const tsdfuse = (() => {
     const bounds = new T.Box3();
     const counted = { vertices: 0, triangles: 0 };
     let channel = 0;
+    const facing = []; // some vertices and where they face: which side is worth a look
     const geometryOf = (piece) => {
       const geometry = new T.BufferGeometry();
       geometry.setAttribute("position", new T.BufferAttribute(piece.position, 4));
@@ -177,6 +187,11 @@ const tsdfuse = (() => {
       mesh.matrixAutoUpdate = false;
       mesh.geometry.computeBoundingSphere();
       surface.add(mesh);
+      for (let i = 4 * (piece.vertices % 97); i < piece.position.length; i += 4 * 1021) {
+        const [x, y, z] = [0, 1, 2].map((axis) => (piece.origin[axis] + piece.position[i + axis]) * scene.step);
+        if (facing.length > 4000) facing.splice(0, 2000);
+        facing.push({ place: new T.Vector3(x, y, z), normal: new T.Vector3(...piece.normal.subarray(i, i + 3)).divideScalar(127) });
+      }
       return mesh;
     };
 
@@ -227,11 +242,12 @@ const tsdfuse = (() => {
     over.add(sweep);
 
     // -- drawing, only when something changed
-    const target = new T.WebGLRenderTarget(1, 1, { depthTexture: new T.DepthTexture(1, 1, T.FloatType) });
+    const target = new T.WebGLRenderTarget(1, 1, { depthTexture: new T.DepthTexture(1, 1, T.FloatType), samples: 4 });
     const dome = new T.ShaderMaterial({
       vertexShader: SHADERS.screen, fragmentShader: SHADERS.dome, glslVersion: T.GLSL3, depthTest: false, depthWrite: false, transparent: true,
       blending: T.NoBlending,
-      uniforms: { image: { value: target.texture }, depth: { value: target.depthTexture }, pixel: { value: new T.Vector2() }, range: { value: new T.Vector2() } },
+      uniforms: { image: { value: target.texture }, depth: { value: target.depthTexture }, pixel: { value: new T.Vector2() }, range: { value: new T.Vector2() },
+        edge: { value: new T.Vector2() }, turned: { value: camera.matrixWorld }, sky: { value: true } },
     });
     const quad = new T.Scene();
     const sheet = new T.Mesh(new T.PlaneGeometry(2, 2), dome);
@@ -258,6 +274,9 @@ const tsdfuse = (() => {
       camera.far = camera.near * 2e4;
       camera.updateProjectionMatrix();
       dome.uniforms.range.value.set(camera.near, camera.far);
+      const half = Math.tan((camera.fov * Math.PI) / 360);
+      dome.uniforms.edge.value.set(half * camera.aspect, half);
+      camera.updateMatrixWorld();
       renderer.setRenderTarget(target);
       renderer.setClearColor(0x000000, 0);
       renderer.clear();
@@ -271,6 +290,8 @@ const tsdfuse = (() => {
     }
 
     // -- places to look from
+    let touched = false; // somebody looks from where they want
+    for (const event of ["pointerdown", "wheel", "keydown"]) addEventListener(event, () => { touched = true; });
     const extent = () => {
       // Where the sensor drove, with some room; else all of the surface.
       const box = new T.Box3();
@@ -292,13 +313,22 @@ const tsdfuse = (() => {
       controls.update();
       draw();
     };
+    const towards = (turn) => new T.Vector3(Math.cos(turn) * 0.89, Math.sin(turn) * 0.89, 0.455);
+    let side = null;
     const home = () => {
       const box = extent(), center = box.getCenter(new T.Vector3()), size = box.getSize(new T.Vector3());
-      // From the side of the longest extent, obliquely from above.
-      const turn = size.x > size.y ? -Math.PI / 2 + 0.45 : 0.45;
-      const away = 0.9 * Math.max(size.length(), 0.5);
-      const from = new T.Vector3(Math.cos(turn) * 0.8, Math.sin(turn) * 0.8, 0.6).multiplyScalar(away).add(center);
-      look(from.toArray(), center.toArray());
+      // Obliquely from above, from the side of the longest extent, unless more of the surface faces another one.
+      side ??= size.x > size.y ? -Math.PI / 2 + 0.45 : 0.45;
+      const faces = (turn) => {
+        const way = towards(turn);
+        let sum = 0;
+        for (const { place, normal } of facing) if (box.containsPoint(place)) sum += Math.max(normal.dot(way), 0);
+        return sum;
+      };
+      const turns = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => side + (k * Math.PI) / 4);
+      const best = turns.reduce((a, b) => (faces(b) > 1.1 * faces(a) ? b : a));
+      side = best;
+      look(towards(best).multiplyScalar(0.75 * Math.max(size.length(), 0.5)).add(center).toArray(), center.toArray());
     };
     const top = () => {
       const box = extent(), center = box.getCenter(new T.Vector3()), size = box.getSize(new T.Vector3());
@@ -518,7 +548,7 @@ const tsdfuse = (() => {
       KeyH: () => { setFlying(false); home(); },
       BracketLeft: () => setClip(Math.max(0, +$("clip").value - 25)),
       BracketRight: () => setClip(Math.min(1000, +$("clip").value + 25)),
-      Escape: () => { setFlying(false); forget(); draw(); },
+      Escape: () => { if (flying) setFlying(false); forget(); draw(); },
     };
     for (const [id, key] of [["fly", "KeyF"], ["measure", "KeyM"], ["path", "KeyP"], ["sweep", "KeyL"], ["top", "KeyT"], ["home", "KeyH"]]) $(id).onclick = actions[key];
     addEventListener("keydown", (e) => {
@@ -549,6 +579,7 @@ const tsdfuse = (() => {
     api.unpack = unpack;
     Object.assign(api, {
       look, setMode, setClip, measureAt,
+      hideSky: () => { dome.uniforms.sky.value = false; draw(); },
       state: () => ({
         mode, flying, measuring, frames, ...counted, tiles: tilesShown(), meshes: surface.children.length, clip: uniforms.clip.value,
         eye: camera.position.toArray(), at: controls.target.toArray(), path: path.length / 3, loops: loopLines.length, ahead: camera.getWorldDirection(new T.Vector3()).toArray(),
@@ -573,16 +604,14 @@ const tsdfuse = (() => {
       if (i % 8 === 0) { tell.textContent = `${Math.round((100 * i) / waiting.length)} %`; draw(); await new Promise((go) => setTimeout(go)); }
     }
     tell.textContent = "";
+    if (!touched) home();
     render();
 
     // -- live: what changed comes over a WebSocket, and the next only when this is shown
     function live() {
       const shown = new Map(); // by the name of a region, or of a piece that is for itself
       const changed = new Set();
-      let seconds = [], touched = false, sampled = [], answer = null;
-      canvas.addEventListener("pointerdown", () => { touched = true; });
-      canvas.addEventListener("wheel", () => { touched = true; });
-      addEventListener("keydown", () => { touched = true; });
+      let seconds = [], sampled = [], answer = null;
       const regionOf = (x, y, z) => (scene.blocks ? `${x >> 3},${y >> 3},${z >> 3}` : `${x},${y},${z}`);
       // The pieces of a region as one, which is drawn quickly.
       const join = (pieces) => {

@@ -154,7 +154,7 @@ fn bounds(map: &VoxelMap, path: &Path, is_wanted: impl Fn(&[DVec3; 2]) -> bool) 
 fn told(raster: &Raster, outputs: &[&Path]) -> Outcome {
     let percent = 100.0 * raster.known() as f64 / raster.values.len() as f64;
     say(format_args!(
-        "  raster   {} x {} cells of {} m, {percent:.0}% known",
+        "  raster   {} x {} cells of {} m, {percent:.1}% known",
         raster.width, raster.height, raster.cell_m
     ));
     outputs

@@ -11,7 +11,7 @@ use crate::run::{Folder, tsdfuse};
 const SIZE: [usize; 2] = [800, 600];
 
 /// A simulated street as a page and as a map.
-fn street(folder: &Folder) -> [String; 2] {
+fn street(folder: &Folder, voxel_size_m: f64) -> [String; 2] {
     let log = folder.simulate("log", "street", "vlp16", 6, &[]);
     let (page, map) = (folder.text("street.html"), folder.text("street.tsdf"));
     tsdfuse(&[
@@ -22,7 +22,7 @@ fn street(folder: &Folder) -> [String; 2] {
         "--save-map",
         &map,
         "--voxel-size",
-        "0.2",
+        &voxel_size_m.to_string(),
         "--truncation",
         "0.6",
     ])
@@ -39,7 +39,7 @@ fn look(browser: &mut Browser, eye: DVec3, at: DVec3) {
 
 /// Whether a pixel is of the grey surface; what is behind it is hidden first.
 fn silhouette(browser: &mut Browser) -> Shot {
-    let hide = "document.body.style.background = '#f0f'; for (const id of ['bar', 'figures', 'scale', 'status']) document.getElementById(id).style.display = 'none';";
+    let hide = "tsdfuse.hideSky(); document.body.style.background = '#f0f'; for (const id of ['bar', 'figures', 'scale', 'status']) document.getElementById(id).style.display = 'none';";
     browser.eval(&format!("{{ {hide} }}"));
     browser.shot()
 }
@@ -63,7 +63,7 @@ fn agreement(shot: &Shot, seen: &[bool]) -> f64 {
 fn a_page_shows_what_the_renderer_sees_and_asks_nobody() {
     let Some(chromium) = chromium() else { return };
     let folder = Folder::new();
-    let [page, map] = street(&folder);
+    let [page, map] = street(&folder, 0.2);
     let mut browser = Browser::open(&chromium, &format!("file://{page}"), SIZE);
     browser.eval("tsdfuse.setMode('shaded')");
     browser.key("KeyP"); // the path is no surface
@@ -131,7 +131,7 @@ fn a_page_shows_what_the_renderer_sees_and_asks_nobody() {
 fn keys_and_fingers_move_measure_cut_and_colour() {
     let Some(chromium) = chromium() else { return };
     let folder = Folder::new();
-    let [page, _] = street(&folder);
+    let [page, _] = street(&folder, 0.2);
     let mut browser = Browser::open(&chromium, &format!("file://{page}"), SIZE);
     let first = browser.state();
     assert!(
@@ -262,5 +262,48 @@ fn keys_and_fingers_move_measure_cut_and_colour() {
         arm(&nearer),
         arm(&turned)
     );
+    assert_eq!(browser.errors, [""; 0]);
+}
+
+/// What a frame asks of the GPU, counted between the page and WebGL: software that stands for a GPU tells nothing about how smooth it is.
+#[test]
+fn frames_draw_what_is_in_view_and_upload_nothing() {
+    let Some(chromium) = chromium() else { return };
+    let folder = Folder::new();
+    let [page, _] = street(&folder, 0.07);
+    let mut browser = Browser::open(&chromium, &format!("file://{page}"), SIZE);
+    // All of it has been in view once.
+    browser.eval("tsdfuse.look([0, -400, 300], [0, 0, 0])");
+    browser.shot();
+    browser.eval(
+        "globalThis.calls = {};
+        for (const name of ['drawElements', 'bufferData', 'bufferSubData', 'texImage2D', 'texSubImage2D']) {
+            const call = WebGL2RenderingContext.prototype[name];
+            WebGL2RenderingContext.prototype[name] = function (...all) {
+                calls[name] = (calls[name] || 0) + 1;
+                return call.apply(this, all);
+            };
+        }",
+    );
+    let pieces = browser.state()["meshes"].as_u64().unwrap();
+    assert!(pieces > 3, "{pieces}");
+    let mut frame = |look: &str| {
+        browser.eval(&format!("{{ calls = {{}}; {look} }}"));
+        browser.shot();
+        browser.eval("calls")
+    };
+    // One call for each piece, and one for what is drawn over the whole screen.
+    let all = frame("tsdfuse.look([0, -300, 300], [0, 0, 0])");
+    assert_eq!(all, serde_json::json!({ "drawElements": pieces + 1 }));
+    let sky = frame("tsdfuse.look([0, 0, 50], [10, 0, 100])");
+    assert_eq!(sky, serde_json::json!({ "drawElements": 1 }));
+    let part = frame("tsdfuse.look([0, 0, 2], [1, 0, 2])");
+    let drawn = part["drawElements"].as_u64().unwrap();
+    assert!(
+        part.as_object().unwrap().len() == 1 && (2..=pieces).contains(&drawn),
+        "{part}"
+    );
+    // Nobody moves: nothing is drawn.
+    assert_eq!(frame(""), serde_json::json!({}));
     assert_eq!(browser.errors, [""; 0]);
 }

@@ -6,7 +6,9 @@ use std::time::Instant;
 use serde::Serialize;
 use tsdfuse_plan::{Esdf, EsdfConfig, Moving, MovingConfig};
 use tsdfuse_run::report::ScanReport;
-use tsdfuse_run::{Event, Input, Machine, Observer, Placing, PosesFrom, RunConfig, RunError, Session, Settings, Setup};
+use tsdfuse_run::{
+    Event, Input, Machine, Observer, Placing, PosesFrom, RunConfig, RunError, Session, Settings, Setup, cpu_secs,
+};
 
 use super::results::Data;
 use super::street::{self, STREET};
@@ -49,6 +51,48 @@ pub struct LiveResults {
     pub sweeps: Vec<Sweep>,
     /// From the first sweep to the last, without [`Sweep::moving`], which a planner may or may not want.
     pub seconds: f64,
+    /// The processors' time of all threads by stage, seconds, where the system tells; other work on the machine changes it little.
+    pub cpu: Option<Stages>,
+}
+
+/// Seconds by stage.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Stages {
+    /// Finding poses, reading the log, and what else is nowhere else.
+    pub track: f64,
+    /// Fusing.
+    pub fuse: f64,
+    /// Meshing what changed.
+    pub mesh: f64,
+    /// Distances around what changed.
+    pub distances: f64,
+    /// Telling which returns move; beside the others.
+    pub moving: f64,
+}
+
+impl Stages {
+    /// All that a planner waits for.
+    pub fn in_all(&self) -> f64 {
+        self.track + self.fuse + self.mesh + self.distances
+    }
+}
+
+/// The processors' time since something else was timed.
+#[derive(Debug)]
+struct Processors {
+    until: Option<f64>,
+    stages: Stages,
+}
+
+impl Processors {
+    /// Adds what was taken since the last call to a stage.
+    fn spent(&mut self, stage: fn(&mut Stages) -> &mut f64) {
+        let now = cpu_secs();
+        if let (Some(now), Some(before)) = (now, self.until) {
+            *stage(&mut self.stages) += now - before;
+        }
+        self.until = now;
+    }
 }
 
 /// What was done after a sweep, in seconds.
@@ -88,6 +132,7 @@ struct Planner<'a, 'b> {
     /// Seconds of telling what moves, of the sweep that is being fused.
     moving_secs: f64,
     fused: Instant,
+    processors: Processors,
     failed: Option<String>,
 }
 
@@ -95,16 +140,19 @@ impl Observer for Planner<'_, '_> {
     fn on(&mut self, event: Event<'_>) {
         match event {
             Event::ScanRead { scan, .. } => {
+                self.processors.spent(|stages| &mut stages.track);
                 let start = Instant::now();
                 if let Err(error) = self.moving.classify(scan) {
                     self.failed = Some(error.to_string());
                 }
                 self.moving_secs = start.elapsed().as_secs_f64();
+                self.processors.spent(|stages| &mut stages.moving);
             }
             Event::ScanFused {
                 report: ScanReport { sums, .. },
                 ..
             } => {
+                self.processors.spent(|stages| &mut stages.fuse);
                 self.fused = Instant::now();
                 self.sweeps.push(Sweep {
                     points: sums.points,
@@ -115,6 +163,7 @@ impl Observer for Planner<'_, '_> {
                 });
             }
             Event::SurfaceChanged(changes) => {
+                self.processors.spent(|stages| &mut stages.mesh);
                 let meshed = Instant::now();
                 let chunks = self.esdf.update(changes.iter()).len();
                 if let Some(sweep) = self.sweeps.last_mut() {
@@ -122,6 +171,7 @@ impl Observer for Planner<'_, '_> {
                     sweep.distances += meshed.elapsed().as_secs_f64();
                     sweep.chunks += chunks;
                 }
+                self.processors.spent(|stages| &mut stages.distances);
                 self.fused = Instant::now();
             }
             _ => {}
@@ -154,6 +204,10 @@ impl Live {
             sweeps: Vec::new(),
             moving_secs: 0.0,
             fused: Instant::now(),
+            processors: Processors {
+                until: None,
+                stages: Stages::default(),
+            },
             failed: None,
         };
         let log = input.open_unplaced(&self.settings, &mut planner)?;
@@ -177,6 +231,7 @@ impl Live {
             ..Setup::default()
         };
         let mut session = Session::begin(&log, setup, &mut planner)?;
+        planner.processors.until = cpu_secs();
         let (mut seconds, mut before) = (0.0, 0);
         loop {
             let start = Instant::now();
@@ -215,12 +270,13 @@ impl Live {
             tracked,
             sweeps: planner.sweeps,
             seconds,
+            cpu: planner.processors.until.map(|_| planner.processors.stages),
         })
     }
 }
 
 /// What is told, row by row.
-type Row = (&'static str, fn(&Sweep) -> f64);
+type Row = (&'static str, fn(&Sweep) -> f64, fn(&Stages) -> f64);
 
 impl LiveResults {
     /// How many sweeps a second this machine keeps up with.
@@ -235,11 +291,12 @@ impl LiveResults {
             dataset,
             config,
             sweeps,
+            cpu,
             ..
         } = self;
         let points = sweeps.iter().map(|sweep| sweep.points).sum::<u64>() / sweeps.len().max(1) as u64;
         let mut text = format!(
-            "{}, {} thread{}, {}, {}\n{}: {} sweeps of {points} points, {}, voxels of {} m\n\n{:<24} {:>8} {:>8} {:>8} {:>8}\n",
+            "{}, {} thread{}, {}, {}\n{}: {} sweeps of {points} points, {}, voxels of {} m\n\n{:<24} {:>8} {:>8} {:>8} {:>8} {:>9}\n",
             machine.processor.as_deref().unwrap_or(&machine.system),
             machine.threads,
             if machine.threads == 1 { "" } else { "s" },
@@ -254,33 +311,46 @@ impl LiveResults {
             "median",
             "95 %",
             "most",
+            if cpu.is_some() { "CPU mean" } else { "" },
         );
         let rows: [Row; 6] = [
-            (if self.tracked { "pose" } else { "placing" }, |sweep| sweep.track),
-            ("map", |sweep| sweep.fuse),
-            ("mesh of what changed", |sweep| sweep.mesh),
-            ("distances", |sweep| sweep.distances),
-            ("in all", Sweep::in_all),
-            ("which returns move", |sweep| sweep.moving),
+            (
+                if self.tracked { "pose" } else { "placing" },
+                |sweep| sweep.track,
+                |cpu| cpu.track,
+            ),
+            ("map", |sweep| sweep.fuse, |cpu| cpu.fuse),
+            ("mesh of what changed", |sweep| sweep.mesh, |cpu| cpu.mesh),
+            ("distances", |sweep| sweep.distances, |cpu| cpu.distances),
+            ("in all", Sweep::in_all, Stages::in_all),
+            ("which returns move", |sweep| sweep.moving, |cpu| cpu.moving),
         ];
-        for (name, of) in rows {
+        let per_sweep_ms = 1e3 / sweeps.len().max(1) as f64;
+        for (name, of, cpu_of) in rows {
             let mut ms: Vec<f64> = sweeps.iter().map(|sweep| 1e3 * of(sweep)).collect();
             ms.sort_unstable_by(f64::total_cmp);
             let at = |share: f64| ms[((ms.len() - 1) as f64 * share).round() as usize];
             let mean = ms.iter().sum::<f64>() / ms.len() as f64;
             let [median, most_of_them, most] = [0.5, 0.95, 1.0].map(at);
-            text += &format!("  {name:<22} {mean:>8.1} {median:>8.1} {most_of_them:>8.1} {most:>8.1}\n");
+            text += &format!("  {name:<22} {mean:>8.1} {median:>8.1} {most_of_them:>8.1} {most:>8.1}");
+            let cpu = cpu.as_ref().map(|cpu| format!(" {:>9.1}", per_sweep_ms * cpu_of(cpu)));
+            text += &cpu.unwrap_or_default();
+            text.push('\n');
         }
         let late = sweeps.iter().filter(|sweep| sweep.in_all() > 0.1).count();
         let distances: f64 = sweeps.iter().map(|sweep| sweep.distances).sum();
         let [voxel, radius] = self.distances_m;
+        let cores = cpu.map(|cpu| {
+            let cores = 10.0 * cpu.in_all() / sweeps.len() as f64;
+            format!("at 10 sweeps/s, that is the work of {cores:.1} cores\n")
+        });
         text + &format!(
             "\n{:.1} sweeps/s with all but the last row; {late} of {} took longer than 100 ms\n\
              distances in voxels of {voxel} m up to {radius} m: {:.1} updates/s\n",
             self.sweeps_per_sec(),
             sweeps.len(),
             sweeps.len() as f64 / distances,
-        )
+        ) + &cores.unwrap_or_default()
     }
 }
 

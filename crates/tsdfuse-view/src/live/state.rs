@@ -128,8 +128,8 @@ struct Head<'a> {
     scene: Option<&'a Told>,
     /// The index of each piece and its bytes: x, y, z, length.
     pieces: Vec<[i64; 4]>,
-    /// Pieces that will follow in the next messages.
-    left: usize,
+    /// Whether more pieces follow in the next message.
+    more: bool,
     /// How many places were told before those that follow.
     path_from: usize,
     path: Vec<f64>,
@@ -239,7 +239,7 @@ impl State {
                 break;
             }
         }
-        head.left = untold.count();
+        head.more = untold.next().is_some();
         if seen.path_epoch != self.path_epoch {
             (seen.path_epoch, seen.path) = (self.path_epoch, 0);
         }
@@ -264,7 +264,7 @@ impl State {
             body.extend_from_slice(&self.sweep.1);
             seen.sweep = self.sweep.0;
         }
-        if head.left == 0 {
+        if !head.more {
             seen.changes = self.changes;
         }
         // Plain data cannot fail to become JSON.

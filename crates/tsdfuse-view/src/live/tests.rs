@@ -98,7 +98,7 @@ fn viewers_are_told_what_changed_and_late_ones_all() {
         ),
         (9, 3)
     );
-    while head["left"] != 0 && late.triangles() != first.triangles() {
+    while head["more"] == true && late.triangles() != first.triangles() {
         late.take();
     }
     assert!(late.pieces == first.pieces);
