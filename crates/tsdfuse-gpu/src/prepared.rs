@@ -48,6 +48,8 @@ pub(crate) struct Surface<'a> {
     pub(crate) nearest: &'a [u32],
     /// How many patches meet in a voxel of 1 m that faces the sensor 1 m away; 0 if the map is not looked at.
     pub(crate) crowd: f32,
+    /// How many cells apart neighbours may be: see [`Rows`](tsdfuse::fuse::Rows).
+    pub(crate) neighbour_cells: u32,
 }
 
 /// The cylindrical image of a sensor, for a phase of 0.
@@ -203,6 +205,7 @@ impl Prepared<'_> {
                 ..
             } = surface.config;
             (frame.window_m, frame.noise_m, frame.max_gap_m) = (window_m, noise_m, max_gap_m);
+            frame.neighbour_cells = surface.neighbour_cells;
             frame.step_m = twin::STEP / frame.voxels_per_m;
             frame.crowd = surface.crowd / (frame.voxels_per_m * frame.voxels_per_m);
         }

@@ -57,10 +57,14 @@ impl Between {
                 let Some((ring, column)) = image.place_of(i) else {
                     continue;
                 };
-                let next = if column + 1 == image.columns() { 0 } else { column + 1 };
                 let dense = limits.step_m / (column_rad * all[i].center.length());
-                let above = image.get(ring + 1, column).filter(|_| column % nth(dense) == 0);
-                for (other, longest_m) in [(above, f32::INFINITY), (image.get(ring, next), MAX_GAP_ACROSS_M)] {
+                let cells = 1..=limits.neighbour_cells;
+                let above = cells.clone().find_map(|k| image.get(ring + k, column));
+                let above = above.filter(|_| column % nth(dense) == 0);
+                let next = cells
+                    .into_iter()
+                    .find_map(|k| image.get(ring, (column + k) % image.columns()));
+                for (other, longest_m) in [(above, f32::INFINITY), (next, MAX_GAP_ACROSS_M)] {
                     let Some(other) = other else {
                         continue;
                     };
@@ -140,12 +144,14 @@ fn on_the_way(a: &Patch, b: &Patch, kind: Kind, step_m: f32) -> impl ExactSizeIt
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sensor::SensorModel;
 
     const LIMITS: Limits = Limits {
         window_m: 0.1,
         noise_m: 0.02,
         step_m: 0.075,
         max_gap_m: 0.4,
+        neighbour_cells: 1,
         most: usize::MAX,
     };
 
@@ -182,6 +188,41 @@ mod tests {
             assert!(!facing(kind, range, 0.98 * widest, 0.0), "{kind:?} {range}");
         }
         assert!(facing(Kind::Ray, 5.0, 0.08, 0.4) && !facing(Kind::Ray, 5.0, 0.07, 0.4));
+    }
+
+    #[test]
+    fn in_a_grid_neighbours_are_found_over_empty_cells() {
+        // On a wall 8 m away, rows and columns 5 cm apart, every third of which has returns.
+        let (rows, columns) = (10, 1000);
+        let wide_rad = std::f32::consts::TAU / columns as f32;
+        let elevations = (0..rows).map(|row| (row as f32 * wide_rad).to_degrees()).collect();
+        let model = SensorModel::from_beams("grid", elevations, columns, (0.1, 100.0)).unwrap();
+        let cells = (0..rows)
+            .step_by(3)
+            .flat_map(|row| (0..9).step_by(3).map(move |column| (row, column)));
+        let at = |(row, column): (u16, u16)| {
+            let (up, along) = (f32::from(row) * wide_rad, (f32::from(column) + 0.5) * wide_rad);
+            Vec3::new(8.0, -8.0 * along.tan(), 8.0 * up.tan() / along.cos())
+        };
+        let points: Vec<Vec3> = cells.clone().map(at).collect();
+        let rings: Vec<u16> = cells.map(|(row, _)| row).collect();
+        let mut image = ScanImage::new();
+        image.update(&points, &rings, &model);
+        let wall = |&center: &Vec3| patch(center, -Vec3::X, Kind::Half);
+        let count = |neighbour_cells: usize| {
+            let mut all: Vec<Patch> = points.iter().map(wall).collect();
+            let limits = Limits {
+                neighbour_cells,
+                ..LIMITS
+            };
+            Between::default()
+                .append_to(&mut all, &image, wide_rad, &limits)
+                .unwrap();
+            all.len() - points.len()
+        };
+        // 4 × 3 returns have 3 × 3 neighbours above and 4 × 2 beside, 15 cm apart: a patch or two between them.
+        assert_eq!((count(1), count(2)), (0, 0));
+        assert!((17..=34).contains(&count(3)), "{}", count(3));
     }
 
     #[test]

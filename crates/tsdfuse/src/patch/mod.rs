@@ -386,6 +386,7 @@ mod tests {
                     noise_m: 0.0,
                     step_m: 0.1,
                     max_gap_m: 1.0,
+                    neighbour_cells: 1,
                     most: usize::MAX,
                 },
                 column_rad: sensor.column_width_rad() as f32,
