@@ -139,10 +139,10 @@ impl Surface<'_> {
         let shift_m = largest_shift_m(scan);
         let each = 1.0 + 2.0 * MOST_BETWEEN;
         weights(&scan.points, |range_m| {
-            // The other end of a link can be nearer, and the middle of the link a little nearer still.
-            let of_ends_m = range_m / (1.0 + twin::MAX_GAP_OF_RANGE);
-            let widest_m = twin::widest_gap_m(self.config.max_gap_m, range_m);
-            each / (of_ends_m - 0.5 * widest_m - off_m - shift_m).max(1.0)
+            // The other end of a link can be nearer, and the middle of the link nearer still: by Pythagoras.
+            let half_gap = 0.5 * twin::MAX_GAP_OF_RANGE;
+            let of_middle_m = range_m / (1.0 + twin::MAX_GAP_OF_RANGE) * (1.0 - half_gap * half_gap).sqrt();
+            each / (of_middle_m - off_m - shift_m).max(1.0)
         })
     }
 }

@@ -100,6 +100,9 @@ fn connect(a: Patch, b: Patch, longest_m: f32) {
         let far = select(min(max(growing, 2.0 * frame.window_m), widest), widest, kind == WHOLE);
         is_one = select(gap, length(seen), kind == WHOLE) <= far
             && off <= MAX_OFF_BETWEEN * noise_m() && dot(a.normal, b.normal) >= MIN_DOT;
+        // Two whole ones that agree certify what lies between.
+        is_one = is_one || (kind == WHOLE && length(seen) <= COPLANAR_GAPS * widest && gap <= COPLANAR_LENGTH_M
+            && off <= COPLANAR_OFF_M && dot(a.normal, b.normal) >= COPLANAR_DOT);
     }
     if kind == NOWHERE || gap < frame.step_m || gap > min(longest_m, MAX_GAP_OF_RANGE * range) || !is_one {
         return;

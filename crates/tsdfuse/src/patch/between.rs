@@ -3,7 +3,10 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::surface::{Kind, Limits, Patch};
+use super::{
+    ROUGHNESS_M,
+    surface::{Kind, Limits, Patch},
+};
 use crate::sensor::{PART, ScanImage};
 
 /// Patches whose normals are at most this far apart may be of one surface; and a link between rays is at least this far from them: a
@@ -12,6 +15,18 @@ pub const MIN_DOT: f32 = 0.9;
 
 /// Each of the two lies on the plane of the other, up to this many standard deviations of ranges.
 pub const MAX_OFF: f32 = 4.0;
+
+/// Two planes of whole windows certify what lies between them, up to this many times the widest gap, …
+pub const COPLANAR_GAPS: f32 = 4.0;
+
+/// … but no farther than this, metres, …
+pub const COPLANAR_LENGTH_M: f32 = 3.0;
+
+/// … if each of the two is no farther off the plane of the other than this, metres, …
+pub const COPLANAR_OFF_M: f32 = 2.0 * ROUGHNESS_M;
+
+/// … and their normals no farther apart than this cosine, of 5°.
+pub const COPLANAR_DOT: f32 = 0.996;
 
 /// From this range on, metres, the greatest gap grows with the range, as the one between beams does.
 pub const FAR_M: f32 = 25.0;
@@ -117,7 +132,14 @@ fn linked(a: &Patch, b: &Patch, longest_m: f32, limits: &Limits) -> Option<Kind>
             gap <= growing.max(2.0 * limits.window_m).min(widest) && is_one_plane()
         }
         // As the sensor sees it: what could stand between two rings on a road is no higher.
-        Kind::Whole => apart.reject_from(a.center + b.center).length() <= widest && is_one_plane(),
+        Kind::Whole => {
+            let seen = apart.reject_from(a.center + b.center).length();
+            seen <= widest && is_one_plane()
+                || seen <= COPLANAR_GAPS * widest
+                    && gap <= COPLANAR_LENGTH_M
+                    && off <= COPLANAR_OFF_M
+                    && a.normal.dot(b.normal) >= COPLANAR_DOT
+        }
     };
     is_one.then_some(kind)
 }
@@ -179,8 +201,9 @@ mod tests {
             (Kind::Half, 5.0, 0.2),
             (Kind::Half, 20.0, 0.32),
             (Kind::Half, 50.0, 0.8),
-            (Kind::Whole, 5.0, 0.4),
-            (Kind::Whole, 50.0, 0.8),
+            (Kind::Whole, 5.0, 1.6),
+            (Kind::Whole, 40.0, 2.56),
+            (Kind::Whole, 50.0, 3.0),
             (Kind::Whole, 0.6, 0.3), // half the range
         ] {
             assert!(facing(kind, range, 0.98 * widest, 0.4), "{kind:?} {range}");
@@ -231,8 +254,28 @@ mod tests {
         let road = |x: f32, kind: Kind| patch(Vec3::new(x, 0.0, -1.8), Vec3::Z, kind);
         let of = |kind: Kind, far: f32| linked(&road(11.0, kind), &road(far, kind), f32::INFINITY, &LIMITS);
         assert_eq!(of(Kind::Whole, 13.6), Some(Kind::Whole)); // 0.38 m
-        assert_eq!(of(Kind::Whole, 14.4), None); // 0.48 m
+        assert_eq!(of(Kind::Whole, 14.1), None); // more than 3 m
         assert_eq!((of(Kind::Half, 11.3), of(Kind::Ray, 11.3)), (None, None));
+    }
+
+    #[test]
+    fn wider_gaps_take_planes_that_agree() {
+        let wall = |y: f32, off: f32, turn: f32| {
+            let (sin, cos) = turn.to_radians().sin_cos();
+            patch(Vec3::new(10.0 + off, y, 0.0), Vec3::new(-cos, sin, 0.0), Kind::Whole)
+        };
+        let to = |other: Patch| linked(&wall(0.0, 0.0, 0.0), &other, f32::INFINITY, &LIMITS).is_some();
+        assert!(to(wall(1.5, 0.0, 0.0)) && to(wall(1.5, 0.019, 0.0)) && to(wall(0.3, 0.0, 4.0)));
+        assert!(!to(wall(1.7, 0.0, 0.0)) && !to(wall(1.5, 0.021, 0.0)));
+        // 5.5° and 6 cm off: as of a curve.
+        let curved = wall(0.6, 0.03, 5.5);
+        assert!(
+            !to(curved)
+                && to(Patch {
+                    kind: Kind::Whole,
+                    ..wall(0.39, 0.02, 5.5)
+                })
+        );
     }
 
     #[test]
