@@ -92,7 +92,8 @@ macro_rules! layout {
 fn frame_layout() -> Vec<(String, usize)> {
     layout!(Frame: world_x mode world_y first world_z count anchor_voxel stamp anchor_fraction voxels_per_m
         truncation_vox max_weight_sum heavy_sum times_at segments_at segments rings_at rings columns max_range_m min_dot
-        total window_m noise_m step_m max_gap_m column_rad columns_per_rad gaps_at nearest_at towards_at top per_pitch crowd camera)
+        total window_m noise_m step_m max_gap_m column_rad columns_per_rad gaps_at nearest_at towards_at top per_pitch crowd
+        neighbour_cells camera)
 }
 
 #[test]

@@ -42,6 +42,8 @@ pub(crate) struct Frame {
     pub(crate) top: f32,
     pub(crate) per_pitch: f32,
     pub(crate) crowd: f32,
+    pub(crate) neighbour_cells: u32,
+    pub(crate) unused: [u32; 3],
     pub(crate) camera: [f32; 4],
 }
 

@@ -3,7 +3,7 @@
 
 use tsdfuse::{
     Scan, SensorModel,
-    fuse::{Beams, Distance, FuseConfig, FuseError, Method, PatchConfig, rings_of, twin},
+    fuse::{Beams, Distance, FuseConfig, FuseError, Method, PatchConfig, Rows, rings_of, twin},
     normals::{Estimator, NormalsConfig},
     sensor::Pinhole,
 };
@@ -145,12 +145,17 @@ impl Prepare {
                 })
             }
             Self::Patch { config, beams, angles } => {
-                let (sensor, rings) = beams.or_grid(scan)?;
+                let Rows {
+                    sensor,
+                    rings,
+                    neighbour_cells,
+                } = beams.or_grid(scan)?;
                 angles.update(&sensor);
                 let surface = Surface {
                     config: *config,
                     gaps: &angles.gaps,
                     nearest: &angles.nearest,
+                    neighbour_cells: neighbour_cells as u32,
                     crowd: if config.carve && config.agreement {
                         twin::crowd(&sensor, 1.0)
                     } else {

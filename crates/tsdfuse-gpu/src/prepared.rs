@@ -48,6 +48,8 @@ pub(crate) struct Surface<'a> {
     pub(crate) nearest: &'a [u32],
     /// How many patches meet in a voxel of 1 m that faces the sensor 1 m away; 0 if the map is not looked at.
     pub(crate) crowd: f32,
+    /// How many cells apart neighbours may be: see [`Rows`](tsdfuse::fuse::Rows).
+    pub(crate) neighbour_cells: u32,
 }
 
 /// The cylindrical image of a sensor, for a phase of 0.
@@ -137,10 +139,10 @@ impl Surface<'_> {
         let shift_m = largest_shift_m(scan);
         let each = 1.0 + 2.0 * MOST_BETWEEN;
         weights(&scan.points, |range_m| {
-            // The other end of a link can be nearer, and the middle of the link a little nearer still.
-            let of_ends_m = range_m / (1.0 + twin::MAX_GAP_OF_RANGE);
-            let widest_m = twin::widest_gap_m(self.config.max_gap_m, range_m);
-            each / (of_ends_m - 0.5 * widest_m - off_m - shift_m).max(1.0)
+            // The other end of a link can be nearer, and the middle of the link nearer still: by Pythagoras.
+            let half_gap = 0.5 * twin::MAX_GAP_OF_RANGE;
+            let of_middle_m = range_m / (1.0 + twin::MAX_GAP_OF_RANGE) * (1.0 - half_gap * half_gap).sqrt();
+            each / (of_middle_m - off_m - shift_m).max(1.0)
         })
     }
 }
@@ -203,6 +205,7 @@ impl Prepared<'_> {
                 ..
             } = surface.config;
             (frame.window_m, frame.noise_m, frame.max_gap_m) = (window_m, noise_m, max_gap_m);
+            frame.neighbour_cells = surface.neighbour_cells;
             frame.step_m = twin::STEP / frame.voxels_per_m;
             frame.crowd = surface.crowd / (frame.voxels_per_m * frame.voxels_per_m);
         }

@@ -52,6 +52,8 @@ struct Frame {
     per_pitch: f32,
     // For surface patches: how many of them meet in a voxel that faces the sensor 1 m away; 0 if the map is not looked at.
     crowd: f32,
+    // Returns are neighbours if they are at most this many cells apart along a row or a column, and the cells between are empty.
+    neighbour_cells: u32,
     // A camera's focal lengths, and its principal point, pixels.
     camera: vec4<f32>,
 }

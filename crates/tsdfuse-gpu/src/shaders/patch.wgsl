@@ -13,12 +13,33 @@ fn fuse_return(i: u32, thread: u32) -> u32 {
         let ring = cell / frame.columns;
         let column = cell % frame.columns;
         if thread == 2u {
-            connect(patches[cell], patches[ring * frame.columns + next_column(column)], MAX_GAP_ACROSS_M);
-        } else if ring + 1u < frame.rings && column % nth(frame.step_m / (frame.column_rad * length(patches[cell].center))) == 0u {
-            connect(patches[cell], patches[cell + frame.columns], 1e30);
+            connect(patches[cell], next_in_row(ring, column), MAX_GAP_ACROSS_M);
+        } else if column % nth(frame.step_m / (frame.column_rad * length(patches[cell].center))) == 0u {
+            connect(patches[cell], next_in_column(ring, column), 1e30);
         }
     }
     return NO_RETURN;
+}
+
+// The neighbours of a cell: nothing, if there is no return near enough.
+fn next_in_row(ring: u32, column: u32) -> Patch {
+    for (var k = 1u; k <= frame.neighbour_cells; k++) {
+        let near = patches[ring * frame.columns + (column + k) % frame.columns];
+        if near.kind != NOWHERE {
+            return near;
+        }
+    }
+    return Patch(vec3(0.0), NOWHERE, vec3(0.0));
+}
+
+fn next_in_column(ring: u32, column: u32) -> Patch {
+    for (var k = 1u; k <= min(frame.neighbour_cells, frame.rings - 1u - ring); k++) {
+        let near = patches[(ring + k) * frame.columns + column];
+        if near.kind != NOWHERE {
+            return near;
+        }
+    }
+    return Patch(vec3(0.0), NOWHERE, vec3(0.0));
 }
 
 // How far in front of it a patch is fused, in voxels.
@@ -79,6 +100,9 @@ fn connect(a: Patch, b: Patch, longest_m: f32) {
         let far = select(min(max(growing, 2.0 * frame.window_m), widest), widest, kind == WHOLE);
         is_one = select(gap, length(seen), kind == WHOLE) <= far
             && off <= MAX_OFF_BETWEEN * noise_m() && dot(a.normal, b.normal) >= MIN_DOT;
+        // Two whole ones that agree certify what lies between.
+        is_one = is_one || (kind == WHOLE && length(seen) <= COPLANAR_GAPS * widest && gap <= COPLANAR_LENGTH_M
+            && off <= COPLANAR_OFF_M && dot(a.normal, b.normal) >= COPLANAR_DOT);
     }
     if kind == NOWHERE || gap < frame.step_m || gap > min(longest_m, MAX_GAP_OF_RANGE * range) || !is_one {
         return;

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use super::FuseError;
 use crate::{
     scan::Scan,
-    sensor::{SensorModel, grid_of, guess, recover_rings},
+    sensor::{NEIGHBOUR_CELLS, SensorModel, grid_of, guess, recover_rings},
 };
 
 /// The rings of a scan: its own, or recovered ones.
@@ -49,20 +49,38 @@ impl Beams {
         Ok(model)
     }
 
-    /// The sensor's model and the ring of each return; of a scan in which no beams show, those of a grid as fine as its
-    /// returns.
+    /// The rows of a scan: its beams; where none show, those of a grid as fine as its returns.
     ///
     /// # Errors
     /// As [`Self::of`], if none of the returns is valid.
-    pub fn or_grid<'a>(&'a mut self, scan: &'a Scan) -> Result<(Cow<'a, SensorModel>, Cow<'a, [u16]>), FuseError> {
+    pub fn or_grid<'a>(&'a mut self, scan: &'a Scan) -> Result<Rows<'a>, FuseError> {
         match self.of(scan) {
-            Ok(sensor) => Ok((Cow::Borrowed(sensor), rings_of(scan, sensor))),
+            Ok(sensor) => Ok(Rows {
+                rings: rings_of(scan, sensor),
+                sensor: Cow::Borrowed(sensor),
+                neighbour_cells: 1,
+            }),
             Err(error) => {
                 let (grid, rings) = grid_of(&scan.points).ok_or(error)?;
-                Ok((Cow::Owned(grid), rings.into()))
+                Ok(Rows {
+                    sensor: Cow::Owned(grid),
+                    rings: rings.into(),
+                    neighbour_cells: NEIGHBOUR_CELLS,
+                })
             }
         }
     }
+}
+
+/// The rows of a scan's organized image.
+#[derive(Debug)]
+pub struct Rows<'a> {
+    /// The sensor's model, or a grid.
+    pub sensor: Cow<'a, SensorModel>,
+    /// The row of each return.
+    pub rings: Cow<'a, [u16]>,
+    /// Returns are neighbours if they are at most this many cells apart along a row or a column, and the cells between are empty.
+    pub neighbour_cells: usize,
 }
 
 #[cfg(test)]

@@ -36,7 +36,7 @@ mod surfel;
 #[doc(hidden)]
 pub mod twin;
 
-pub use beams::{Beams, rings_of};
+pub use beams::{Beams, Rows, rings_of};
 pub use caminal::{Caminal, CaminalConfig};
 pub use cylinder::{EightVoxels, VOXEL_RADIUS};
 pub use cylindrical::Cylindrical;

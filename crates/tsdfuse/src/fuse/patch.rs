@@ -160,11 +160,11 @@ impl Integrator for Patch {
             return Ok(Integration::default());
         }
         scan.check()?;
-        let (sensor, rings) = self.beams.or_grid(scan)?;
-        let sensor = sensor.as_ref();
+        let rows = self.beams.or_grid(scan)?;
+        let sensor = rows.sensor.as_ref();
         let (anchor, ()) = rayon::join(
             || placed.place(grid, scan),
-            || image.update(&scan.points, &rings, sensor),
+            || image.update(&scan.points, &rows.rings, sensor),
         );
         let anchor = anchor?;
         let (placed, image) = (&self.placed, &self.image);
@@ -173,6 +173,7 @@ impl Integrator for Patch {
             noise_m: self.config.noise_m,
             step_m: STEP * grid.voxel_size_m() as f32,
             max_gap_m: self.config.max_gap_m,
+            neighbour_cells: rows.neighbour_cells,
             most: map.memory_limit() / LIMIT_PER_PATCH,
         };
         let column_rad = sensor.column_width_rad() as f32;

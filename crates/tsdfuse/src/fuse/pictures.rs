@@ -120,7 +120,7 @@ pub fn normals(scan: &Scan, config: &NormalsConfig, sensor: Option<&SensorModel>
 pub fn surfels(scan: &Scan, config: &SurfelConfig, sensor: Option<&SensorModel>) -> Result<Image, FuseError> {
     let placed = place(scan)?;
     let mut beams = Beams::new(sensor.cloned());
-    let (sensor, _) = beams.or_grid(scan)?;
+    let sensor = beams.or_grid(scan)?.sensor;
     let world_from_sensor = world_axes(scan)?;
     let mut map = SurfelMap::default();
     map.update(&placed.points, origins(&placed), world_from_sensor.z_axis, config);

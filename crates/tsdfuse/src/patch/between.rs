@@ -3,7 +3,10 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::surface::{Kind, Limits, Patch};
+use super::{
+    ROUGHNESS_M,
+    surface::{Kind, Limits, Patch},
+};
 use crate::sensor::{PART, ScanImage};
 
 /// Patches whose normals are at most this far apart may be of one surface; and a link between rays is at least this far from them: a
@@ -12,6 +15,18 @@ pub const MIN_DOT: f32 = 0.9;
 
 /// Each of the two lies on the plane of the other, up to this many standard deviations of ranges.
 pub const MAX_OFF: f32 = 4.0;
+
+/// Two planes of whole windows certify what lies between them, up to this many times the widest gap, …
+pub const COPLANAR_GAPS: f32 = 4.0;
+
+/// … but no farther than this, metres, …
+pub const COPLANAR_LENGTH_M: f32 = 3.0;
+
+/// … if each of the two is no farther off the plane of the other than this, metres, …
+pub const COPLANAR_OFF_M: f32 = 2.0 * ROUGHNESS_M;
+
+/// … and their normals no farther apart than this cosine, of 5°.
+pub const COPLANAR_DOT: f32 = 0.996;
 
 /// From this range on, metres, the greatest gap grows with the range, as the one between beams does.
 pub const FAR_M: f32 = 25.0;
@@ -57,10 +72,14 @@ impl Between {
                 let Some((ring, column)) = image.place_of(i) else {
                     continue;
                 };
-                let next = if column + 1 == image.columns() { 0 } else { column + 1 };
                 let dense = limits.step_m / (column_rad * all[i].center.length());
-                let above = image.get(ring + 1, column).filter(|_| column % nth(dense) == 0);
-                for (other, longest_m) in [(above, f32::INFINITY), (image.get(ring, next), MAX_GAP_ACROSS_M)] {
+                let cells = 1..=limits.neighbour_cells;
+                let above = cells.clone().find_map(|k| image.get(ring + k, column));
+                let above = above.filter(|_| column % nth(dense) == 0);
+                let next = cells
+                    .into_iter()
+                    .find_map(|k| image.get(ring, (column + k) % image.columns()));
+                for (other, longest_m) in [(above, f32::INFINITY), (next, MAX_GAP_ACROSS_M)] {
                     let Some(other) = other else {
                         continue;
                     };
@@ -113,7 +132,14 @@ fn linked(a: &Patch, b: &Patch, longest_m: f32, limits: &Limits) -> Option<Kind>
             gap <= growing.max(2.0 * limits.window_m).min(widest) && is_one_plane()
         }
         // As the sensor sees it: what could stand between two rings on a road is no higher.
-        Kind::Whole => apart.reject_from(a.center + b.center).length() <= widest && is_one_plane(),
+        Kind::Whole => {
+            let seen = apart.reject_from(a.center + b.center).length();
+            seen <= widest && is_one_plane()
+                || seen <= COPLANAR_GAPS * widest
+                    && gap <= COPLANAR_LENGTH_M
+                    && off <= COPLANAR_OFF_M
+                    && a.normal.dot(b.normal) >= COPLANAR_DOT
+        }
     };
     is_one.then_some(kind)
 }
@@ -140,12 +166,14 @@ fn on_the_way(a: &Patch, b: &Patch, kind: Kind, step_m: f32) -> impl ExactSizeIt
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sensor::SensorModel;
 
     const LIMITS: Limits = Limits {
         window_m: 0.1,
         noise_m: 0.02,
         step_m: 0.075,
         max_gap_m: 0.4,
+        neighbour_cells: 1,
         most: usize::MAX,
     };
 
@@ -173,8 +201,9 @@ mod tests {
             (Kind::Half, 5.0, 0.2),
             (Kind::Half, 20.0, 0.32),
             (Kind::Half, 50.0, 0.8),
-            (Kind::Whole, 5.0, 0.4),
-            (Kind::Whole, 50.0, 0.8),
+            (Kind::Whole, 5.0, 1.6),
+            (Kind::Whole, 40.0, 2.56),
+            (Kind::Whole, 50.0, 3.0),
             (Kind::Whole, 0.6, 0.3), // half the range
         ] {
             assert!(facing(kind, range, 0.98 * widest, 0.4), "{kind:?} {range}");
@@ -185,13 +214,68 @@ mod tests {
     }
 
     #[test]
+    fn in_a_grid_neighbours_are_found_over_empty_cells() {
+        // On a wall 8 m away, rows and columns 5 cm apart, every third of which has returns.
+        let (rows, columns) = (10, 1000);
+        let wide_rad = std::f32::consts::TAU / columns as f32;
+        let elevations = (0..rows).map(|row| (row as f32 * wide_rad).to_degrees()).collect();
+        let model = SensorModel::from_beams("grid", elevations, columns, (0.1, 100.0)).unwrap();
+        let cells = (0..rows)
+            .step_by(3)
+            .flat_map(|row| (0..9).step_by(3).map(move |column| (row, column)));
+        let at = |(row, column): (u16, u16)| {
+            let (up, along) = (f32::from(row) * wide_rad, (f32::from(column) + 0.5) * wide_rad);
+            Vec3::new(8.0, -8.0 * along.tan(), 8.0 * up.tan() / along.cos())
+        };
+        let points: Vec<Vec3> = cells.clone().map(at).collect();
+        let rings: Vec<u16> = cells.map(|(row, _)| row).collect();
+        let mut image = ScanImage::new();
+        image.update(&points, &rings, &model);
+        let wall = |&center: &Vec3| patch(center, -Vec3::X, Kind::Half);
+        let count = |neighbour_cells: usize| {
+            let mut all: Vec<Patch> = points.iter().map(wall).collect();
+            let limits = Limits {
+                neighbour_cells,
+                ..LIMITS
+            };
+            Between::default()
+                .append_to(&mut all, &image, wide_rad, &limits)
+                .unwrap();
+            all.len() - points.len()
+        };
+        // 4 × 3 returns have 3 × 3 neighbours above and 4 × 2 beside, 15 cm apart: a patch or two between them.
+        assert_eq!((count(1), count(2)), (0, 0));
+        assert!((17..=34).contains(&count(3)), "{}", count(3));
+    }
+
+    #[test]
     fn on_a_road_the_gap_is_what_the_sensor_sees_of_it() {
         // 1.8 m below the sensor; rays meet it at 9°.
         let road = |x: f32, kind: Kind| patch(Vec3::new(x, 0.0, -1.8), Vec3::Z, kind);
         let of = |kind: Kind, far: f32| linked(&road(11.0, kind), &road(far, kind), f32::INFINITY, &LIMITS);
         assert_eq!(of(Kind::Whole, 13.6), Some(Kind::Whole)); // 0.38 m
-        assert_eq!(of(Kind::Whole, 14.4), None); // 0.48 m
+        assert_eq!(of(Kind::Whole, 14.1), None); // more than 3 m
         assert_eq!((of(Kind::Half, 11.3), of(Kind::Ray, 11.3)), (None, None));
+    }
+
+    #[test]
+    fn wider_gaps_take_planes_that_agree() {
+        let wall = |y: f32, off: f32, turn: f32| {
+            let (sin, cos) = turn.to_radians().sin_cos();
+            patch(Vec3::new(10.0 + off, y, 0.0), Vec3::new(-cos, sin, 0.0), Kind::Whole)
+        };
+        let to = |other: Patch| linked(&wall(0.0, 0.0, 0.0), &other, f32::INFINITY, &LIMITS).is_some();
+        assert!(to(wall(1.5, 0.0, 0.0)) && to(wall(1.5, 0.019, 0.0)) && to(wall(0.3, 0.0, 4.0)));
+        assert!(!to(wall(1.7, 0.0, 0.0)) && !to(wall(1.5, 0.021, 0.0)));
+        // 5.5° and 6 cm off: as of a curve.
+        let curved = wall(0.6, 0.03, 5.5);
+        assert!(
+            !to(curved)
+                && to(Patch {
+                    kind: Kind::Whole,
+                    ..wall(0.39, 0.02, 5.5)
+                })
+        );
     }
 
     #[test]

@@ -15,7 +15,10 @@ use crate::{
     lanes::{LANES, Vectors, lanes},
     sensor::{NONE, ScanImage},
 };
-pub use between::{FAR_M, MAX_GAP_ACROSS_M, MAX_GAP_OF_RANGE, MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT, widest_gap_m};
+pub use between::{
+    COPLANAR_DOT, COPLANAR_GAPS, COPLANAR_LENGTH_M, COPLANAR_OFF_M, FAR_M, MAX_GAP_ACROSS_M, MAX_GAP_OF_RANGE,
+    MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT, widest_gap_m,
+};
 pub use sums::MAX_COLUMNS;
 pub(crate) use surface::{Limits, Patch};
 
@@ -386,6 +389,7 @@ mod tests {
                     noise_m: 0.0,
                     step_m: 0.1,
                     max_gap_m: 1.0,
+                    neighbour_cells: 1,
                     most: usize::MAX,
                 },
                 column_rad: sensor.column_width_rad() as f32,

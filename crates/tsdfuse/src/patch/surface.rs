@@ -48,6 +48,8 @@ pub(crate) struct Limits {
     pub(crate) step_m: f32,
     /// … if they are no farther apart than this (of planes: as seen by the sensor); more, far away: [`super::widest_gap_m`].
     pub(crate) max_gap_m: f32,
+    /// Neighbours in the image are at most this many cells apart, with nothing between.
+    pub(crate) neighbour_cells: usize,
     /// There may be about as many patches between neighbours.
     pub(crate) most: usize,
 }

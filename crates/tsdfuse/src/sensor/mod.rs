@@ -32,4 +32,4 @@ pub use recovery::recover_rings;
 pub use rings::{NO_RING, RingRecovery, RingSource, sort_rings};
 pub use sensor_model::{MAX_BEAMS, MAX_COLUMNS, SensorError, SensorModel};
 pub use tables::{model, names};
-pub(crate) use unorganized::grid_of;
+pub(crate) use unorganized::{NEIGHBOUR_CELLS, grid_of};

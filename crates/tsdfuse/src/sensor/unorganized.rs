@@ -13,6 +13,9 @@ const COARSE: f32 = 0.02;
 /// Returns for each cell of the image, in the mean.
 const PER_CELL: f32 = 1.0;
 
+/// Neighbours in the image are at most this many cells apart: many cells are empty where returns are spread at random.
+pub(crate) const NEIGHBOUR_CELLS: usize = 3;
+
 /// The highest row, and the lowest: radians.
 const STEEPEST: f32 = 1.57;
 
