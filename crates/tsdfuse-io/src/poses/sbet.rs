@@ -9,8 +9,8 @@ use std::path::Path;
 use tsdfuse::Trajectory;
 
 use super::Poses;
-use crate::geodesy::{Geographic, attitude};
 use crate::error::{Error, Result};
+use crate::geodesy::{Geographic, attitude};
 
 const RECORD: usize = 17 * 8;
 
