@@ -510,7 +510,8 @@ mod tests {
             let mut sums = Sums::default();
             let own = points.iter().filter(|q| grid.key(**q) >> i32::from(level) == key);
             own.for_each(|q| sums.add(*q - centre, 1.0));
-            Some(sums.plane(centre, grid.size(level), grid.noise)?.residual(p))
+            let plane = sums.plane(centre, grid.size(level), grid.noise)?;
+            (!plane.is_cut).then(|| plane.residual(p))
         });
         planes.min_by(|a, b| a.1.total_cmp(&b.1))
     }
@@ -537,6 +538,32 @@ mod tests {
             }
         }
         assert!(planes > 40, "{planes}");
+    }
+
+    #[test]
+    fn a_wall_at_the_side_of_its_cells_lies_where_its_points_are() {
+        // Noise puts some points in front of x = 1, the side of cells of up to 1 m, and the others behind it.
+        let noise = |i: usize| 0.02 * 3.4 * (((i * 7919) % 1009) as f64 / 1009.0 - 0.5);
+        let at = |i: usize| (((i * 37) % 400) as f64 * 0.01, ((i * 61) % 397) as f64 * 0.01);
+        let wall: Vec<DVec3> = (0..20_000)
+            .map(|i| DVec3::new(1.01 + noise(i), at(i).0, at(i).1))
+            .collect();
+        let mut cells = Cells::new(0.25, 0.02, f64::INFINITY);
+        cells.add(&seen(&wall), 0.0);
+        let mut residuals = wall.iter().step_by(97).filter_map(|p| {
+            let (plane, ..) = cells.plane_at(*p)?;
+            Some(plane.distance_along(DVec3::new(1.01, p.y, p.z), DVec3::X))
+        });
+        let worst = residuals.by_ref().map(f64::abs).fold(0.0, f64::max);
+        assert!(worst < 0.004, "{worst}");
+        // The plane of the points behind the side alone.
+        let grid = cells.grid;
+        let mut sums = Sums::default();
+        let key = grid.key(DVec3::new(1.1, 1.1, 1.1));
+        let own = wall.iter().filter(|p| grid.key(**p) == key);
+        own.for_each(|p| sums.add(*p - grid.centre(key, 0), 1.0));
+        let cut = sums.plane(grid.centre(key, 0), grid.size(0), grid.noise).unwrap();
+        assert!(cut.is_cut && cut.mean.x > 1.016, "{}", cut.mean.x);
     }
 
     #[test]

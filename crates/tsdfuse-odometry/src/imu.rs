@@ -622,6 +622,25 @@ mod tests {
         }
     }
 
+    #[test]
+    fn the_first_sweep_is_bent_as_the_gyroscope_says() {
+        let mut imu = Inertial::new();
+        imu.push(samples(2.0));
+        let (from, gap, secs) = (end(0.4), 0.05, 0.1);
+        let motion = imu.turning(&from, gap, secs).unwrap();
+        let worst = |motion: &Motion| {
+            let at = |j: usize| pose(from.secs + gap + secs * j as f64 / STEPS as f64);
+            let off = |(j, own): (usize, &Pose)| own.rotation.angle_between(at(j).rotation);
+            motion.poses.iter().enumerate().map(off).fold(0.0, f64::max)
+        };
+        assert_eq!(motion.poses.len(), STEPS + 1);
+        // What is left is the unknown bias, for 0.15 s.
+        assert!(worst(&motion) < 1.2 * 0.15 * BIASES.0.length(), "{}", worst(&motion));
+        assert!(motion.last().translation.distance(pose(0.55).translation) < 0.02);
+        // No samples are left there.
+        assert!(imu.turning(&end(1.95), gap, secs).is_none());
+    }
+
     /// Learns from ten sweeps a second, placed exactly; says how far the ways predicted the last ones, and which one is chosen.
     fn learnt(samples: Vec<ImuSample>, secs: f64) -> (Inertial, [f64; 3], PredictedBy) {
         let mut imu = Inertial::new();

@@ -119,3 +119,62 @@ impl Sampling {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use rustc_hash::FxHashSet;
+
+    use super::*;
+
+    /// A wall that the beams of a turning sensor meet nearer and nearer, with errors of ranges; each return with its error.
+    fn wall() -> (Vec<Return>, Vec<f32>) {
+        let mut state = 1_u32;
+        let mut uniform = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as f32 / (1 << 24) as f32 - 0.5
+        };
+        let errors = (0..64 * 900).map(|_| 0.02 * (0..12).map(|_| uniform()).sum::<f32>());
+        let errors: Vec<f32> = errors.collect();
+        let returns = errors.iter().enumerate().map(|(i, error)| {
+            let (column, ring) = ((i / 64) as f32, (i % 64) as f32);
+            let (azimuth, elevation) = (0.2 + column * 0.001, (ring - 32.0) * 0.004);
+            let (sin, cos) = azimuth.sin_cos();
+            let ray = Vec3::new(cos * elevation.cos(), sin * elevation.cos(), elevation.sin());
+            Return {
+                point: ray * (8.0 / ray.y + error),
+                share: 0.0,
+                ring: None,
+            }
+        });
+        (returns.collect(), errors)
+    }
+
+    #[test]
+    fn noise_does_not_choose() {
+        let (returns, errors) = wall();
+        let mean = |chosen: &[Return]| {
+            let error = |r: &Return| r.point.length() - 8.0 / (r.point.y / r.point.length());
+            chosen.iter().map(error).sum::<f32>() / chosen.len() as f32
+        };
+        assert!(errors.iter().sum::<f32>().abs() / (errors.len() as f32) < 2e-4);
+        let chosen = thinned(&returns, 0.5);
+        assert!(chosen.len() > 100 && mean(&chosen).abs() < 0.003, "{}", mean(&chosen));
+        // The first one in each cube would be too near.
+        let mut taken = FxHashSet::default();
+        let is_first = |r: &&Return| taken.insert((r.point / 0.5).floor().as_ivec3());
+        let first: Vec<Return> = returns.iter().filter(is_first).copied().collect();
+        assert!(mean(&first) < -0.006, "{}", mean(&first));
+    }
+
+    #[test]
+    fn cubes_keep_one_return() {
+        let (returns, _) = wall();
+        let cubes = |returns: &[Return]| {
+            let cubes = returns.iter().map(|r| (r.point / 0.25).floor().as_ivec3());
+            cubes.collect::<FxHashSet<_>>().len()
+        };
+        let chosen = thinned(&returns, 0.25);
+        assert_eq!(chosen.len(), cubes(&returns));
+        assert_eq!(cubes(&chosen), chosen.len());
+    }
+}
