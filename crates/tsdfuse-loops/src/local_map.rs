@@ -33,11 +33,9 @@ pub struct LocalMap {
 }
 
 impl LocalMap {
-    /// Of points in any order; one in each cube of 10 cm counts, or of larger cubes where there would be more than 25,000. The frame's z is upwards within 30°.
+    /// Of points in any order; the first one in each cube of 10 cm counts, or of larger cubes where there would be more than 25,000. The frame's z is upwards within 30°.
     pub fn new(points: &[SurfacePoint]) -> Self {
-        // The points that come first were often seen from far away, by one scan.
-        let mixed = mixed(points.len()).map(|at| points[at]);
-        let mut points: Vec<SurfacePoint> = mixed.filter(|p| p.at.is_finite()).collect();
+        let mut points: Vec<SurfacePoint> = points.iter().copied().filter(|p| p.at.is_finite()).collect();
         let mut size = THIN_M;
         loop {
             let mut taken: FxHashSet<IVec3> = FxHashSet::default();
@@ -79,24 +77,6 @@ impl LocalMap {
         // Fewer points than odometry's cells have, so cells are as large as suits them.
         Surfaces::new(&self.points, &OdometryConfig::default())
     }
-}
-
-/// All numbers below `n`, neighbours far from each other.
-fn mixed(n: usize) -> impl Iterator<Item = usize> {
-    let is_coprime = |step: &usize| {
-        let (mut a, mut b) = (n, *step);
-        while b != 0 {
-            (a, b) = (b, a % b);
-        }
-        a == 1
-    };
-    let golden = (0.618 * n as f64) as usize;
-    let step = (golden.max(1)..=n).find(is_coprime).unwrap_or(1);
-    (0..n).scan(0, move |at, _| {
-        let here = *at;
-        *at = (here + step) % n;
-        Some(here)
-    })
 }
 
 /// The rotation that turns up what floors and walls say is up: at most 30° from z.

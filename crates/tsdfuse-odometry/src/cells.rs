@@ -443,13 +443,14 @@ impl Cells {
         }
     }
 
+    /// The plane that predicts a point best; one that is cut only where there is no other.
     fn best(&self, p: DVec3, smallest: IVec3) -> Option<(u32, u32)> {
-        let (mut best, mut least) = (None, f64::INFINITY);
+        let (mut best, mut least) = (None, (true, f64::INFINITY));
         self.planes_of(smallest, |at, plane| {
             let (_, variance) = plane.residual(p);
             // Of equals the smaller one.
-            if variance <= least && !plane.is_cut {
-                (best, least) = (Some(at), variance);
+            if (plane.is_cut, variance) <= least {
+                (best, least) = (Some(at), (plane.is_cut, variance));
             }
         });
         best
@@ -511,9 +512,10 @@ mod tests {
             let own = points.iter().filter(|q| grid.key(**q) >> i32::from(level) == key);
             own.for_each(|q| sums.add(*q - centre, 1.0));
             let plane = sums.plane(centre, grid.size(level), grid.noise)?;
-            (!plane.is_cut).then(|| plane.residual(p))
+            Some((plane.is_cut, plane.residual(p)))
         });
-        planes.min_by(|a, b| a.1.total_cmp(&b.1))
+        let best = planes.min_by(|a, b| a.0.cmp(&b.0).then(a.1.1.total_cmp(&b.1.1)));
+        best.map(|(_, residual)| residual)
     }
 
     #[test]

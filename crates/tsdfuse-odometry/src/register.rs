@@ -18,9 +18,8 @@ use crate::returns::{GRAIN, KERNEL, Return, kernel};
 /// Moments of a sweep whose poses are sought.
 pub(crate) const KNOTS: usize = 3;
 
-/// The share of returns that count: neighbours share the errors of their plane. (Were it lower, predictions that are wrong in one direction for a while,
-/// as where a car slows down, would pull the sensor along.)
-const INDEPENDENT: f64 = 0.2;
+/// The share of returns that count: neighbours share the errors of their plane.
+const INDEPENDENT: f64 = 0.05;
 
 /// Of so many returns one is used until the kernel has its last width; returns are ordered for that.
 pub(crate) const COARSE: usize = 3;

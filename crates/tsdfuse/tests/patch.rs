@@ -132,7 +132,8 @@ fn gaps_between_rings_are_closed_as_far_as_is_asked_for() {
     assert_eq!((floor_covered(&closed, 7.3), floor_covered(&closed, 8.5)), (1.0, 1.0));
     assert_eq!(floor_covered(&open, 7.3), 0.0);
     assert!(floor_covered(&open, 7.78) > 0.8);
-    let some = with(0.28);
+    // Planes that agree are linked over four times as much.
+    let some = with(0.07);
     assert_eq!((floor_covered(&some, 7.3), floor_covered(&some, 8.5)), (1.0, 0.0));
 }
 

@@ -236,7 +236,7 @@ mod tests {
         for pair in way.windows(2) {
             let step = pair[0].inverse() * pair[1];
             assert!((0.1..0.7).contains(&step.translation.length()), "{step:?}");
-            assert!(step.rotation.to_scaled_axis().length() < 0.2);
+            assert!(pair[0].rotation.angle_between(pair[1].rotation) < 0.2);
         }
     }
 }
