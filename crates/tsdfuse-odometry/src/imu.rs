@@ -84,6 +84,17 @@ struct Sample {
     force: DVec3,
 }
 
+/// What becomes of the velocity while the gyroscope tells turns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Velocity {
+    /// It stays as it is in the world.
+    Kept,
+    /// It stays as it is in the frame of the sensor, as that of a vehicle does.
+    Ahead,
+    /// It follows the accelerometer.
+    Forced,
+}
+
 /// A sweep as it is predicted, with the velocity at its end, m/s in the world.
 #[derive(Clone, Debug)]
 pub(crate) struct Prediction {
@@ -252,23 +263,24 @@ impl Inertial {
     }
 
     /// From a moment on: poses at even steps until `to`, and the velocity there.
-    fn integrate(&self, from: &End, to: f64, steps: usize, is_forced: bool) -> Option<(Vec<Pose>, DVec3)> {
+    fn integrate(&self, from: &End, to: f64, steps: usize, course: Velocity) -> Option<(Vec<Pose>, DVec3)> {
         let step = (to - from.secs) / steps as f64;
         let mut here = *from;
         let mut poses = vec![here.pose];
-        let (gravity, bias) = match (&self.gravity, is_forced) {
-            (Some((state, _)), true) => (
+        let ahead = from.pose.rotation.conjugate() * from.velocity;
+        let (gravity, bias) = match (&self.gravity, course) {
+            (Some((state, _)), Velocity::Forced) => (
                 DVec3::new(state[0], state[1], state[2]),
                 DVec3::new(state[3], state[4], state[5]),
             ),
-            (None, true) => return None,
-            (_, false) => (DVec3::ZERO, DVec3::ZERO),
+            (None, Velocity::Forced) => return None,
+            _ => (DVec3::ZERO, DVec3::ZERO),
         };
         for _ in 0..steps {
             let (rate, force) = self.mean(here.secs, here.secs + step)?;
             let turn = (rate - self.gyro_bias.0) * step;
             let middle = here.pose.rotation * DQuat::from_scaled_axis(0.5 * turn);
-            let acceleration = if is_forced {
+            let acceleration = if course == Velocity::Forced {
                 middle * (force - bias) + gravity
             } else {
                 DVec3::ZERO
@@ -277,7 +289,10 @@ impl Inertial {
                 rotation: (here.pose.rotation * DQuat::from_scaled_axis(turn)).normalize(),
                 translation: here.pose.translation + step * (here.velocity + 0.5 * step * acceleration),
             };
-            here.velocity += step * acceleration;
+            here.velocity = match course {
+                Velocity::Ahead => here.pose.rotation * ahead,
+                Velocity::Kept | Velocity::Forced => here.velocity + step * acceleration,
+            };
             here.secs += step;
             poses.push(here.pose);
         }
@@ -285,10 +300,10 @@ impl Inertial {
     }
 
     /// A sweep that begins `gap` seconds after the end of the last one and takes `secs`.
-    pub(crate) fn predict(&self, last: &End, gap: f64, secs: f64, is_forced: bool) -> Option<Prediction> {
+    pub(crate) fn predict(&self, last: &End, gap: f64, secs: f64, course: Velocity) -> Option<Prediction> {
         let begin = last.secs + gap;
         let (pose, velocity) = if gap > 0.0 {
-            let (poses, velocity) = self.integrate(last, begin, (gap / 0.01).ceil() as usize, is_forced)?;
+            let (poses, velocity) = self.integrate(last, begin, (gap / 0.01).ceil() as usize, course)?;
             (*poses.last()?, velocity)
         } else {
             (last.pose, last.velocity)
@@ -304,39 +319,11 @@ impl Inertial {
                 velocity,
             });
         }
-        let (poses, velocity) = self.integrate(&from, begin + secs, STEPS, is_forced)?;
+        let (poses, velocity) = self.integrate(&from, begin + secs, STEPS, course)?;
         Some(Prediction {
             motion: Motion { poses: poses.into() },
             velocity,
         })
-    }
-
-    /// The sweep that begins `gap` seconds after a moment and takes `secs`, of a sensor that turns as the gyroscope says and keeps its velocity in its
-    /// own frame, as a vehicle does.
-    pub(crate) fn turning(&self, from: &End, gap: f64, secs: f64) -> Option<Motion> {
-        let ahead = from.pose.rotation.conjugate() * from.velocity;
-        let go_on = |poses: &mut Vec<Pose>, begin: f64, secs: f64| -> Option<()> {
-            for j in 0..STEPS {
-                let step = secs / STEPS as f64;
-                let (rate, _) = self.mean(begin + j as f64 * step, begin + (j + 1) as f64 * step)?;
-                let last = *poses.last()?;
-                let turn = DQuat::from_scaled_axis((rate - self.gyro_bias.0) * step);
-                poses.push(
-                    last * Pose {
-                        rotation: turn,
-                        translation: ahead * step,
-                    },
-                );
-            }
-            Some(())
-        };
-        let mut poses = vec![from.pose];
-        if gap > 0.0 {
-            go_on(&mut poses, from.secs, gap)?;
-            poses.drain(..STEPS);
-        }
-        go_on(&mut poses, from.secs + gap, secs)?;
-        Some(Motion { poses: poses.into() })
     }
 
     /// Which of the three predictions (by the motion before, by turns, by all) is to be used.
@@ -625,7 +612,7 @@ mod tests {
         let mut imu = Inertial::new();
         imu.push(samples(2.0));
         let (from, gap, secs) = (end(0.4), 0.05, 0.1);
-        let motion = imu.turning(&from, gap, secs).unwrap();
+        let motion = imu.predict(&from, gap, secs, Velocity::Ahead).unwrap().motion;
         let worst = |motion: &Motion| {
             let at = |j: usize| pose(from.secs + gap + secs * j as f64 / STEPS as f64);
             let off = |(j, own): (usize, &Pose)| own.rotation.angle_between(at(j).rotation);
@@ -636,7 +623,7 @@ mod tests {
         assert!(worst(&motion) < 1.2 * 0.15 * BIASES.0.length(), "{}", worst(&motion));
         assert!(motion.last().translation.distance(pose(0.55).translation) < 0.05);
         // No samples are left there.
-        assert!(imu.turning(&end(1.95), gap, secs).is_none());
+        assert!(imu.predict(&end(1.95), gap, secs, Velocity::Ahead).is_none());
     }
 
     /// Learns from ten sweeps a second, placed exactly; says how far the ways predicted the last ones, and which one is chosen.
@@ -646,7 +633,10 @@ mod tests {
         let mut used = PredictedBy::Motion;
         for sweep in 1..(10.0 * secs) as usize {
             let (last, now) = (end(0.1 * sweep as f64), end(0.1 * (sweep + 1) as f64));
-            let (turned, forced) = (imu.predict(&last, 0.0, 0.1, false), imu.predict(&last, 0.0, 0.1, true));
+            let (turned, forced) = (
+                imu.predict(&last, 0.0, 0.1, Velocity::Kept),
+                imu.predict(&last, 0.0, 0.1, Velocity::Forced),
+            );
             let steady = steady(&last, 0.1);
             let predicted = [Some(&steady), turned.as_ref(), forced.as_ref()];
             used = imu.choose(predicted);
@@ -675,7 +665,7 @@ mod tests {
     #[test]
     fn poses_within_a_sweep_follow_the_unit() {
         let (imu, ..) = learnt(samples(31.0), 30.0);
-        let predicted = imu.predict(&end(30.0), 0.1, 0.1, true).unwrap();
+        let predicted = imu.predict(&end(30.0), 0.1, 0.1, Velocity::Forced).unwrap();
         for (j, got) in predicted.motion.poses.iter().enumerate() {
             let want = pose(30.1 + 0.1 * j as f64 / STEPS as f64);
             assert!(want.translation.distance(got.translation) < 0.003);
@@ -735,11 +725,11 @@ mod tests {
         let mut imu = Inertial::new();
         imu.push(gapped.iter().copied().chain(gapped.iter().copied()));
         assert_eq!(imu.report().samples, gapped.len());
-        assert!(imu.predict(&end(0.2), 0.0, 0.1, false).is_some());
-        assert!(imu.predict(&end(0.45), 0.0, 0.1, false).is_none());
-        assert!(imu.predict(&end(1.95), 0.0, 0.1, false).is_none());
+        assert!(imu.predict(&end(0.2), 0.0, 0.1, Velocity::Kept).is_some());
+        assert!(imu.predict(&end(0.45), 0.0, 0.1, Velocity::Kept).is_none());
+        assert!(imu.predict(&end(1.95), 0.0, 0.1, Velocity::Kept).is_none());
         assert!(
-            imu.predict(&end(0.2), 0.0, 0.1, true).is_none(),
+            imu.predict(&end(0.2), 0.0, 0.1, Velocity::Forced).is_none(),
             "gravity is not known yet"
         );
     }

@@ -10,7 +10,7 @@ use tsdfuse::{ImuSample, Pose, Scan};
 
 use crate::along::Drift;
 use crate::cells::{Cells, Seen};
-use crate::imu::{End, ImuReport, Inertial, PredictedBy, Prediction};
+use crate::imu::{End, ImuReport, Inertial, PredictedBy, Prediction, Velocity};
 use crate::locate::{Search, locate};
 use crate::motion::{Motion, STEPS, ahead, repeated, turn_of};
 use crate::register::{Prior, Registered, register};
@@ -369,12 +369,16 @@ impl Tracker {
         let begin = last.motion.last() * repeated(&last.velocity, gap);
         let motion = moving(begin, &last.velocity, secs);
         let velocity = motion.last().rotation * ahead(&last.velocity);
-        let by_imu = |is_forced| {
+        let by_imu = |course| {
             is_timed
-                .then(|| self.imu.predict(&last.end(), gap, secs, is_forced))
+                .then(|| self.imu.predict(&last.end(), gap, secs, course))
                 .flatten()
         };
-        [Some(Prediction { motion, velocity }), by_imu(false), by_imu(true)]
+        [
+            Some(Prediction { motion, velocity }),
+            by_imu(Velocity::Kept),
+            by_imu(Velocity::Forced),
+        ]
     }
 
     /// The next scan that is placed.
@@ -547,8 +551,8 @@ impl Tracker {
             let (motion, expected) = if is_turned {
                 first.0.time_ns?;
                 (
-                    self.imu.turning(&from, 0.0, span(&first.1))?,
-                    self.imu.turning(&from, gap, span(&second.1))?,
+                    self.imu.predict(&from, 0.0, span(&first.1), Velocity::Ahead)?.motion,
+                    self.imu.predict(&from, gap, span(&second.1), Velocity::Ahead)?.motion,
                 )
             } else {
                 let begin = self.start * repeated(&velocity, gap);
