@@ -174,18 +174,8 @@ fn runs_that_are_killed_lose_nothing_that_was_stored() {
     fs::remove_file(&map).unwrap();
     fs::remove_file(&store).unwrap();
     let fuse = [&["fuse", &set, "--save-map"][..], &[&map], &STREET, &paged].concat();
-    let mut child = command(&fuse).stdout(Stdio::null()).spawn().unwrap();
-    let mut told = BufReader::new(child.stderr.take().unwrap())
-        .lines()
-        .map_while(Result::ok);
-    assert!(told.any(|line| line.contains("stored ")));
-    child.kill().unwrap();
-    child.wait().unwrap();
-    let last = tsdfuse(&["resume", &store]).succeeded();
-    let from = last.stderr.split_once("continuing after ").unwrap().1;
-    let from: usize = from.split_whitespace().next().unwrap().parse().unwrap();
-    assert!((3..60).contains(&from), "{from}");
-    assert!(fs::read(&map).unwrap() == fs::read(&whole).unwrap(), "{}", last.stderr);
+    kill_when_stored(&fuse);
+    assert_resumes_to(&store, 3..60, &map, &whole);
 }
 
 /// Through a hall and back, without poses: each scan comes once more on the way back.
@@ -200,6 +190,26 @@ fn there_and_back(folder: &Folder) -> String {
         }
     }
     folder.text("drive")
+}
+
+/// Runs the command, and kills it when scans were stored for the first time.
+fn kill_when_stored(arguments: &[&str]) {
+    let mut child = command(arguments).stdout(Stdio::null()).spawn().unwrap();
+    let mut told = BufReader::new(child.stderr.take().unwrap())
+        .lines()
+        .map_while(Result::ok);
+    assert!(told.any(|line| line.contains("stored ")));
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+/// A killed run goes on after one of these scans, to the map of a run that was not killed.
+fn assert_resumes_to(store: &str, scans: std::ops::Range<usize>, map: &str, whole: &str) {
+    let last = tsdfuse(&["resume", store]).succeeded();
+    let from = last.stderr.split_once("continuing after ").unwrap().1;
+    let from: usize = from.split_whitespace().next().unwrap().parse().unwrap();
+    assert!(scans.contains(&from), "{from}");
+    assert!(fs::read(map).unwrap() == fs::read(whole).unwrap(), "{}", last.stderr);
 }
 
 #[test]
@@ -233,19 +243,9 @@ fn a_run_that_closes_loops_and_is_killed_ends_with_the_same_map() {
         } else {
             begin.clone()
         };
-        let mut child = command(&arguments).stdout(Stdio::null()).spawn().unwrap();
-        let mut told = BufReader::new(child.stderr.take().unwrap())
-            .lines()
-            .map_while(Result::ok);
-        assert!(told.any(|line| line.contains("stored ")));
-        child.kill().unwrap();
-        child.wait().unwrap();
+        kill_when_stored(&arguments);
     }
-    let last = tsdfuse(&["resume", &store]).succeeded();
-    let from = last.stderr.split_once("continuing after ").unwrap().1;
-    let from: usize = from.split_whitespace().next().unwrap().parse().unwrap();
-    assert!((4..79).contains(&from), "{from}");
-    assert!(fs::read(&map).unwrap() == fs::read(&whole).unwrap(), "{}", last.stderr);
+    assert_resumes_to(&store, 4..79, &map, &whole);
 }
 
 #[cfg(unix)]
