@@ -192,6 +192,8 @@ struct Elsewhere {
 struct Begun {
     /// Of the first one.
     motion: Motion,
+    /// What it saw.
+    cells: Cells,
     second: Registered,
     /// Sensor at the end of a second from sensor at its begin.
     velocity: Pose,
@@ -488,23 +490,20 @@ impl Tracker {
     /// The first two scans: the motion between them is that within them, or what the gyroscope says, if that turns as much from one to the other. How the
     /// first sweep is bent matters long: later ones are bent to fit it, as long as they see the same surfaces at the same time of the sweep.
     fn begin(&mut self, first: (Scan, Sampled), second: (Scan, Sampled)) {
-        let Some(steady) = self.begun(&first, &second, false) else {
-            return;
-        };
-        let turned = self.begun(&first, &second, true).filter(|turned| {
-            let [registered, measured] = [&steady, turned].map(|begun| turn_of(begun.second.motion.first().rotation));
-            (measured - registered).length() < TURNED.0 + TURNED.1 * registered.length()
-        });
+        let steady = self.begun(&first, &second, None);
         let Begun {
             motion,
+            cells,
             second: registered,
             velocity,
-        } = turned.unwrap_or(steady);
+        } = match self.turning(&first, &second, &steady) {
+            Some(begin_secs) => self.begun(&first, &second, Some(begin_secs)),
+            None => steady,
+        };
         let quality = Quality::of(&registered);
         let (end, is_weak) = (registered.end, registered.along.is_some());
         let mut motions = (motion, registered.motion);
-        self.cells = Cells::new(self.config.cell_m, self.config.noise_m, MOST_POINTS);
-        self.cells.add(&first.1.seen(&motions.0), self.driven);
+        self.cells = cells;
         if self.elsewhere.is_some() {
             match self.look(&second.1, &motions.1) {
                 Some(by) => {
@@ -535,43 +534,53 @@ impl Tracker {
         self.place(second.0, &motions.1, second.1.span, quality);
     }
 
-    /// How the first two scans lie to each other, if the sensor moves steadily, or turns as the gyroscope says; `None` without a gyroscope.
-    fn begun(&self, first: &(Scan, Sampled), second: &(Scan, Sampled), is_turned: bool) -> Option<Begun> {
-        const TURNS: usize = 4;
+    /// When the first sweep begins, on the clock of the samples, if the gyroscope turns as registration says from one scan to the other.
+    fn turning(&self, first: &(Scan, Sampled), second: &(Scan, Sampled), steady: &Begun) -> Option<f64> {
+        let begin_secs = secs_between(0, first.0.time_ns?) + first.1.span.0;
+        let from = End {
+            secs: begin_secs,
+            pose: Pose::IDENTITY,
+            velocity: DVec3::ZERO,
+        };
+        let measured = self
+            .imu
+            .predict(&from, step_secs(first, second), 0.0, Velocity::Ahead)?
+            .motion
+            .first();
+        let registered = turn_of(self.start.rotation.conjugate() * steady.second.motion.first().rotation);
+        let is_right = (turn_of(measured.rotation) - registered).length() < TURNED.0 + TURNED.1 * registered.length();
+        is_right.then_some(begin_secs)
+    }
+
+    /// How the first two scans lie to each other, if the sensor moves steadily, or, where its begin on the clock of the samples is given, turns as the
+    /// gyroscope says.
+    fn begun(&self, first: &(Scan, Sampled), second: &(Scan, Sampled), begin_secs: Option<f64>) -> Begun {
+        const TURNS: i32 = 4;
         let gap = step_secs(first, second);
-        let span = |sampled: &Sampled| sampled.span.1 - sampled.span.0;
-        let mut velocity = Pose::IDENTITY;
-        let mut begun = None;
-        for turn in 0..TURNS {
-            let from = End {
-                secs: secs_between(0, first.0.time_ns.unwrap_or_default()) + first.1.span.0,
-                pose: self.start,
-                velocity: self.start.rotation * ahead(&velocity),
+        let [first_secs, second_secs] = [first, second].map(|(_, sampled)| sampled.span.1 - sampled.span.0);
+        let attempt = |velocity: Pose, turn: i32| {
+            let turning = |gap, secs| {
+                let from = End {
+                    secs: begin_secs?,
+                    pose: self.start,
+                    velocity: self.start.rotation * ahead(&velocity),
+                };
+                Some(self.imu.predict(&from, gap, secs, Velocity::Ahead)?.motion)
             };
-            let (motion, expected) = if is_turned {
-                first.0.time_ns?;
-                (
-                    self.imu.predict(&from, 0.0, span(&first.1), Velocity::Ahead)?.motion,
-                    self.imu.predict(&from, gap, span(&second.1), Velocity::Ahead)?.motion,
-                )
-            } else {
-                let begin = self.start * repeated(&velocity, gap);
-                (
-                    moving(self.start, &velocity, span(&first.1)),
-                    moving(begin, &velocity, span(&second.1)),
-                )
-            };
+            let steady = |gap, secs| moving(self.start * repeated(&velocity, gap), &velocity, secs);
+            let sweep = |gap, secs| turning(gap, secs).unwrap_or_else(|| steady(gap, secs));
+            let motion = sweep(0.0, first_secs);
             let mut cells = Cells::new(self.config.cell_m, self.config.noise_m, MOST_POINTS);
             cells.add(&first.1.seen(&motion), self.driven);
             // A car's speed, and a fast turn.
             let loose = Matrix6::from_diagonal(&[1.0, 1.0, 1.0, 10.0, 10.0, 10.0].into());
-            let narrower = 0.5_f64.powi(turn as i32);
+            let narrower = 0.5_f64.powi(turn);
             let registered = register(
                 &cells,
                 &second.1.sparse,
                 &second.1.dense,
                 &Prior {
-                    motion: expected,
+                    motion: sweep(gap, second_secs),
                     begin: loose,
                     step_sigma: (0.01 + 0.1 * narrower, 0.002 + 0.02 * narrower),
                     most: (0.05, 0.02),
@@ -580,14 +589,14 @@ impl Tracker {
                     reach: if turn == 0 { 2.0 } else { 0.3 },
                 },
             );
-            velocity = repeated(&(self.start.inverse() * registered.motion.first()), 1.0 / gap);
-            begun = Some(Begun {
+            Begun {
                 motion,
+                cells,
+                velocity: repeated(&(self.start.inverse() * registered.motion.first()), 1.0 / gap),
                 second: registered,
-                velocity,
-            });
-        }
-        begun
+            }
+        };
+        (1..TURNS).fold(attempt(Pose::IDENTITY, 0), |begun, turn| attempt(begun.velocity, turn))
     }
 
     fn track(&mut self, scan: Scan, sampled: Sampled) {
