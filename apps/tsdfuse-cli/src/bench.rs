@@ -4,14 +4,16 @@ use std::path::Path;
 
 use anyhow::Result;
 use tsdfuse_evaluate::Form;
-use tsdfuse_evaluate::bench::{Bench, Live, LongDrive, LongTrack, STREET};
+use tsdfuse_evaluate::bench::{
+    Bench, Live, LiveResults, LongDrive, LongDriveResults, LongTrack, LongTrackResults, Results, STREET,
+};
 use tsdfuse_plan::EsdfConfig;
 use tsdfuse_run::{Device, PosesFrom};
 
 use crate::args::{LogArgs, Memory};
 use crate::exit::{self, Outcome, Usage};
 use crate::measuring::{Bars, told};
-use crate::output::{command_line, print, print_json};
+use crate::output::{command_line, print_results};
 
 const EXAMPLES: &str = "\
 A run is what `tsdfuse fuse` does, from files to a mesh in a temporary file. Threads that fuse and threads that read ahead share \
@@ -84,11 +86,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
             command_line: bench.command_line,
         };
         let results = track.run(watch).map_err(told)?;
-        if args.json {
-            print_json(&results)?;
-        } else {
-            print(&results.text())?;
-        }
+        print_results(&results, args.json, LongTrackResults::text)?;
         return Ok(Outcome::Complete);
     }
     if let Some(scans) = args.long_drive {
@@ -101,19 +99,11 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
             ..LongDrive::of(scans as usize)
         };
         let results = drive.run(watch).map_err(told)?;
-        if args.json {
-            print_json(&results)?;
-        } else {
-            print(&results.text())?;
-        }
+        print_results(&results, args.json, LongDriveResults::text)?;
         return Ok(Outcome::Complete);
     }
     let results = bench.run(watch).map_err(told)?;
-    if args.json {
-        print_json(&results)?;
-    } else {
-        print(&results.text())?;
-    }
+    print_results(&results, args.json, Results::text)?;
     Ok(if results.is_complete() {
         Outcome::Complete
     } else {
@@ -132,22 +122,18 @@ fn live(args: &Args) -> Result<Outcome> {
     args.log.set_threads()?;
     let mut bars = Bars::default();
     let results = live.run(&mut |progress| bars.show(&progress)).map_err(told)?;
-    if args.json {
-        print_json(&results)?;
-    } else {
-        print(&results.text())?;
-    }
+    print_results(&results, args.json, LiveResults::text)?;
     Ok(Outcome::Complete)
 }
 
 #[cfg(feature = "gpu")]
 mod gpu {
     use anyhow::Result;
-    use tsdfuse_evaluate::bench::{Bench, on_gpu};
+    use tsdfuse_evaluate::bench::{Bench, GpuResults, on_gpu};
 
     use crate::exit::Outcome;
     use crate::measuring::told;
-    use crate::output::{print, print_json};
+    use crate::output::print_results;
 
     pub(super) fn run(
         bench: &Bench,
@@ -156,11 +142,7 @@ mod gpu {
         watch: &mut tsdfuse_evaluate::Watch<'_>,
     ) -> Result<Outcome> {
         let results = on_gpu(bench, name, watch).map_err(told)?;
-        if json {
-            print_json(&results)?;
-        } else {
-            print(&results.text())?;
-        }
+        print_results(&results, json, GpuResults::text)?;
         Ok(Outcome::Complete)
     }
 }

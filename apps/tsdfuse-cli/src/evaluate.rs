@@ -7,13 +7,13 @@ use clap::builder::PossibleValuesParser;
 use tsdfuse::MapConfig;
 use tsdfuse::glam::DVec3;
 use tsdfuse_eval::Protocol;
-use tsdfuse_evaluate::{Comparing, Contest, Evaluated, Evaluation, Form, PoseNoise, ScanPoses, Tuning, tables};
+use tsdfuse_evaluate::{Comparing, Contest, Evaluated, Evaluation, Form, PoseNoise, ScanPoses, Tuned, Tuning, tables};
 use tsdfuse_io::DEPTH_CAMERA_TRUNCATION_M;
 
 use crate::args::{LogArgs, parse_triple};
 use crate::exit::{Outcome, Usage};
 use crate::measuring::{Bars, told};
-use crate::output::{command_line, print, print_json};
+use crate::output::{command_line, print, print_json, print_results};
 use crate::progress::{note, say};
 use crate::run_job;
 
@@ -154,11 +154,7 @@ fn tune(args: &Args, forms: Vec<Form>) -> Result<Outcome> {
             skipped.name, skipped.reason
         ));
     }
-    if args.json {
-        print_json(&found)?;
-    } else {
-        print(&found.text())?;
-    }
+    print_results(&found, args.json, Tuned::text)?;
     Ok(outcome(found.skipped_scans.is_empty()))
 }
 

@@ -13,7 +13,7 @@ use tsdfuse_run::map_info::MapInfo;
 
 use crate::args::SensorArgs;
 use crate::exit::Outcome;
-use crate::output::{print, print_json};
+use crate::output::print_results;
 use crate::progress;
 
 const EXAMPLES: &str = "\
@@ -51,11 +51,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
         None
     };
     if let Some(info) = map {
-        if args.json {
-            print_json(&info)?;
-        } else {
-            print(&map::table(&info))?;
-        }
+        print_results(&info, args.json, map::table)?;
         return Ok(Outcome::Complete);
     }
     let options = OpenOptions {
@@ -74,11 +70,7 @@ pub(crate) fn run(args: &Args) -> Result<Outcome> {
     );
     drop(bar);
     let info = info?;
-    if args.json {
-        print_json(&info)?;
-    } else {
-        print(&log::table(&info))?;
-    }
+    print_results(&info, args.json, log::table)?;
     Ok(if info.is_complete() {
         Outcome::Complete
     } else {

@@ -28,6 +28,15 @@ pub(crate) fn print_json(value: &impl Serialize) -> Result<()> {
     print(&(serde_json::to_string_pretty(value)? + "\n"))
 }
 
+/// Prints results, for programs or for people.
+pub(crate) fn print_results<T: Serialize>(results: &T, json: bool, text: impl FnOnce(&T) -> String) -> Result<()> {
+    if json {
+        print_json(results)
+    } else {
+        print(&text(results))
+    }
+}
+
 /// Prints text on standard output.
 pub(crate) fn print(text: &str) -> Result<()> {
     std::io::stdout().write_all(text.as_bytes()).context("standard output")

@@ -38,6 +38,7 @@ use crate::{bin, las, pcd, placed, ply, present, times};
 mod beside;
 mod gnss;
 mod imu;
+mod samples;
 
 pub(crate) use beside::{PoseFile, parse_motions, poses};
 use beside::{motions, of_model, sensor};

@@ -63,6 +63,17 @@ impl Together {
         (this.places, this.scans) = placed.into_iter().map(|(_, place, scan)| (place, scan)).unzip();
         Ok(this)
     }
+
+    /// What the first source that has any knows: samples of two units must not be mixed.
+    fn first<T>(&self, of: impl Fn(&dyn Source) -> Result<Vec<T>>) -> Result<Vec<T>> {
+        for source in &self.sources {
+            let samples = of(source.as_ref())?;
+            if !samples.is_empty() {
+                return Ok(samples);
+            }
+        }
+        Ok(Vec::new())
+    }
 }
 
 impl Source for Together {
@@ -88,24 +99,11 @@ impl Source for Together {
     }
 
     fn imu(&self) -> Result<Vec<ImuSample>> {
-        // Samples of two units must not be mixed.
-        for source in &self.sources {
-            let samples = source.imu()?;
-            if !samples.is_empty() {
-                return Ok(samples);
-            }
-        }
-        Ok(Vec::new())
+        self.first(|source| source.imu())
     }
 
     fn gnss(&self) -> Result<Vec<GnssFix>> {
-        for source in &self.sources {
-            let fixes = source.gnss()?;
-            if !fixes.is_empty() {
-                return Ok(fixes);
-            }
-        }
-        Ok(Vec::new())
+        self.first(|source| source.gnss())
     }
 
     fn images(&self) -> &[ImageRef] {

@@ -52,8 +52,10 @@ impl LocalMap {
         };
         let surfaces = map.surfaces();
         map.level = level(&map.points, &surfaces);
-        map.points.sort_by_key(|p| surfaces.normal_at(p.at).is_none());
-        map.telling = map.points.partition_point(|p| surfaces.normal_at(p.at).is_some());
+        let points = std::mem::take(&mut map.points).into_iter();
+        let (telling, others): (Vec<_>, Vec<_>) = points.partition(|p| surfaces.normal_at(p.at).is_some());
+        map.telling = telling.len();
+        map.points = [telling, others].concat();
         map
     }
 

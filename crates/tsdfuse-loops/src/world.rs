@@ -9,12 +9,9 @@ use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 use tsdfuse::pose::Interpolation;
 use tsdfuse::trajectory::secs_between;
-use tsdfuse::{ImuSample, Pose};
+use tsdfuse::{ImuSample, Pose, STANDARD_GRAVITY as GRAVITY};
 
 use crate::graph::{DOUBTFUL, PoseGraph, Position, Upright};
-
-/// Gravity, m/s².
-const GRAVITY: f64 = 9.806_65;
 
 /// Between two scans that are farther apart than this, nothing is known of the motion, seconds.
 const LONGEST_GAP: f64 = 1.0;
@@ -219,9 +216,12 @@ impl Anchors {
         let first = *graph.nodes.first()?;
         let untouched = graph.nodes.clone();
         let before = State::of(self, &untouched, self.aligned(&untouched));
+        let (fixes_before_m, tilt_before_rad) = before.medians();
         let mut found = Anchoring {
             fixes: before.fixes.len(),
+            fixes_before_m,
             levels: before.levels.len(),
+            tilt_before_rad,
             ..Anchoring::default()
         };
         if found.fixes + found.levels == 0 {
@@ -249,8 +249,6 @@ impl Anchors {
                 found.drift_share = Some(share);
             }
         }
-        let before = State::of(self, &untouched, self.aligned(&untouched));
-        (found.fixes_before_m, found.tilt_before_rad) = before.medians();
         (found.fixes_after_m, found.tilt_after_rad) = state.medians();
         let back = if found.drift_share.is_some() {
             heading_back(&first, &graph.nodes[0])

@@ -2,34 +2,20 @@
 #![allow(clippy::unwrap_used)]
 
 use glam::{DQuat, DVec3};
-use tsdfuse::{ImuSample, Pose, Scan};
+use tsdfuse::{ImuSample, Pose, STANDARD_GRAVITY, Scan};
 use tsdfuse_loops::{Closer, Fix, LoopConfig};
 use tsdfuse_odometry::Quality;
 
-const GRAVITY: f64 = 9.806_65;
+mod random;
+use random::Random;
+
 const SPEED: f64 = 5.0;
 const SCANS: usize = 1200;
 
-struct Random(u64);
-
-impl Random {
-    /// Between -1 and 1.
-    fn next(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-
-    /// Of variance 1.
-    fn normal(&mut self) -> f64 {
-        (0..12).map(|_| 0.5 * self.next()).sum()
-    }
-
-    fn vector(&mut self) -> DVec3 {
-        DVec3::new(self.normal(), self.normal(), self.normal())
-    }
+/// Three numbers of variance 1.
+fn vector(random: &mut Random) -> DVec3 {
+    let mut normal = || (0..12).map(|_| random.next() - 0.5).sum();
+    DVec3::new(normal(), normal(), normal())
 }
 
 /// Once along a large circle that goes up and down, 600 m.
@@ -75,10 +61,11 @@ fn fixes(sigma: f64, outliers: usize) -> Vec<Fix> {
     (0..600)
         .map(|n| {
             let at = 0.2 * n as f64 + 0.03;
-            let mut place = elsewhere().transform_point(truth(at).transform_point(antenna)) + sigma * random.vector();
+            let mut place =
+                elsewhere().transform_point(truth(at).transform_point(antenna)) + sigma * vector(&mut random);
             // Some in a row, as reflections have it.
             if n % 50 < outliers {
-                place += DVec3::new(18.0, 7.0, -12.0) + 3.0 * random.vector();
+                place += DVec3::new(18.0, 7.0, -12.0) + 3.0 * vector(&mut random);
             }
             Fix {
                 time_ns: (at * 1e9) as i64,
@@ -99,10 +86,10 @@ fn samples() -> Vec<ImuSample> {
             let at = 0.01 * n as f64;
             let place = |secs: f64| truth(secs).translation;
             let acceleration = (place(at - h) - 2.0 * place(at) + place(at + h)) / (h * h);
-            let force = truth(at).rotation.conjugate() * (acceleration + DVec3::Z * GRAVITY);
+            let force = truth(at).rotation.conjugate() * (acceleration + DVec3::Z * STANDARD_GRAVITY);
             ImuSample {
                 time_ns: (at * 1e9) as i64,
-                acceleration: force + DVec3::new(0.04, -0.03, 0.05) + 0.03 * random.vector(),
+                acceleration: force + DVec3::new(0.04, -0.03, 0.05) + 0.03 * vector(&mut random),
                 angular_velocity: DVec3::ZERO,
                 orientation: None,
             }
@@ -177,7 +164,7 @@ fn fixes_that_agree_with_nothing_and_none_at_all_change_nothing() {
     let mut random = Random(3);
     let mut wrong = fixes(0.02, 0);
     for fix in &mut wrong {
-        fix.place += 40.0 * random.vector();
+        fix.place += 40.0 * vector(&mut random);
     }
     let closer = closed(&drifted, wrong, Vec::new());
     assert!((0..SCANS).all(|scan| closer.pose(scan).translation.distance(drifted[scan].translation) < 1e-9));

@@ -10,20 +10,11 @@ use tsdfuse_io::g2o;
 use tsdfuse_loops::{Closer, Edge, LocalMap, LoopConfig, Places, PoseGraph};
 use tsdfuse_odometry::{Quality, SurfacePoint};
 
+mod random;
+use random::Random;
+
 /// How far the sensor sees, metres.
 const RANGE: f64 = 9.0;
-
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
-    }
-}
 
 /// Points of an upright rectangle, or of one that lies.
 fn plane(points: &mut Vec<DVec3>, from: DVec3, along: DVec3, up: DVec3) {

@@ -11,12 +11,9 @@ use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use tsdfuse::trajectory::secs_between;
-use tsdfuse::{ImuSample, Pose};
+use tsdfuse::{ImuSample, Pose, STANDARD_GRAVITY as GRAVITY};
 
 use crate::motion::{Motion, STEPS, turn_of};
-
-/// Gravity, m/s².
-pub(crate) const GRAVITY: f64 = 9.806_65;
 
 /// A time without samples that is longer than this is not bridged, seconds.
 const LONGEST_GAP: f64 = 0.1;

@@ -2,6 +2,9 @@
 
 use glam::{DQuat, DVec3};
 
+/// Standard gravity, m/s².
+pub const STANDARD_GRAVITY: f64 = 9.806_65;
+
 /// One sample of an inertial measurement unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuSample {

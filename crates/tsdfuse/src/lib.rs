@@ -76,7 +76,7 @@ pub use fuse::{
     Surfels,
 };
 pub use glam;
-pub use imu::ImuSample;
+pub use imu::{ImuSample, STANDARD_GRAVITY};
 pub use map::{MapConfig, Sample, VoxelMap};
 pub use mesh::Mesh;
 pub use pose::Pose;

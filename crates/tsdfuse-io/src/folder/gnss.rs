@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use super::samples::{self, Row};
 use crate::error::Result;
 use crate::source::GnssFix;
-use crate::text::{self, Line};
 
 pub(super) const NAME: &str = "gnss.csv";
 
@@ -24,42 +24,19 @@ const COLUMNS: [&str; 7] = [
 /// # Errors
 /// Names the file, the line and the reason.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<GnssFix>> {
-    let mut lines = text::lines(path, bytes)?;
-    match lines.next() {
-        Some(header) if !header.words().eq(COLUMNS) => {
-            return Err(header.error(format!("the header is not {}", COLUMNS.join(","))));
-        }
-        _ => {}
-    }
-    let mut fixes: Vec<GnssFix> = Vec::new();
-    for line in lines {
-        let fix = fix(&line)?;
-        if fixes.last().is_some_and(|last| last.time_ns >= fix.time_ns) {
-            return Err(line.error("the time is not later than that of the fix before"));
-        }
-        fixes.push(fix);
-    }
-    Ok(fixes)
+    samples::parse(path, bytes, &COLUMNS, "fix", fix)
 }
 
-fn fix(line: &Line) -> Result<GnssFix> {
-    let numbers = line.numbers()?;
-    let &[_, latitude_deg, longitude_deg, altitude_m, east, north, up] = numbers.as_slice() else {
-        let (n, wanted) = (numbers.len(), COLUMNS.len());
-        return Err(line.error(format!("{n} numbers where a fix has {wanted}")));
-    };
-    if let Some((name, _)) = COLUMNS.iter().zip(&numbers).find(|(_, number)| !number.is_finite()) {
-        return Err(line.error(format!("{name} is not finite")));
-    }
+fn fix(row: &Row<'_, 7>) -> Result<GnssFix> {
+    let [_, latitude_deg, longitude_deg, altitude_m, east, north, up] = row.numbers;
     if latitude_deg.abs() > 90.0 || longitude_deg.abs() > 360.0 {
-        return Err(line.error("there is no such latitude or longitude"));
+        return Err(row.line.error("there is no such latitude or longitude"));
     }
     if [east, north, up].iter().any(|sigma| *sigma <= 0.0) {
-        return Err(line.error("a standard deviation is not positive"));
+        return Err(row.line.error("a standard deviation is not positive"));
     }
-    let time_ns = line.words().next().and_then(text::nanoseconds);
     Ok(GnssFix {
-        time_ns: time_ns.ok_or_else(|| line.error("the time is too large"))?,
+        time_ns: row.time_ns,
         latitude_deg,
         longitude_deg,
         altitude_m,

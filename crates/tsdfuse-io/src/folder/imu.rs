@@ -5,10 +5,10 @@ use std::path::Path;
 use tsdfuse::Pose;
 use tsdfuse::glam::DVec3;
 
+use super::samples::{self, Row};
 use crate::error::Result;
 use crate::files;
 use crate::source::ImuSample;
-use crate::text::{self, Line};
 
 pub(super) const NAME: &str = "imu.csv";
 
@@ -36,37 +36,13 @@ pub(super) fn read(path: &Path, body_from_sensor: &Pose) -> Result<Vec<ImuSample
 /// # Errors
 /// Names the file, the line and the reason.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<ImuSample>> {
-    let mut lines = text::lines(path, bytes)?;
-    match lines.next() {
-        Some(header) if !header.words().eq(COLUMNS) => {
-            return Err(header.error(format!("the header is not {}", COLUMNS.join(","))));
-        }
-        _ => {}
-    }
-    let mut samples: Vec<ImuSample> = Vec::new();
-    for line in lines {
-        let sample = sample(&line)?;
-        if samples.last().is_some_and(|last| last.time_ns >= sample.time_ns) {
-            return Err(line.error("the time is not later than that of the sample before"));
-        }
-        samples.push(sample);
-    }
-    Ok(samples)
+    samples::parse(path, bytes, &COLUMNS, "sample", sample)
 }
 
-fn sample(line: &Line) -> Result<ImuSample> {
-    let numbers = line.numbers()?;
-    let &[_, gx, gy, gz, ax, ay, az] = numbers.as_slice() else {
-        let (n, wanted) = (numbers.len(), COLUMNS.len());
-        return Err(line.error(format!("{n} numbers where a sample has {wanted}")));
-    };
-    if let Some((name, _)) = COLUMNS.iter().zip(&numbers).find(|(_, number)| !number.is_finite()) {
-        return Err(line.error(format!("{name} is not finite")));
-    }
-    // From the text itself, as the times of scans.
-    let time_ns = line.words().next().and_then(text::nanoseconds);
+fn sample(row: &Row<'_, 7>) -> Result<ImuSample> {
+    let [_, gx, gy, gz, ax, ay, az] = row.numbers;
     Ok(ImuSample {
-        time_ns: time_ns.ok_or_else(|| line.error("the time is too large"))?,
+        time_ns: row.time_ns,
         angular_velocity: DVec3::new(gx, gy, gz),
         acceleration: DVec3::new(ax, ay, az),
         orientation: None,

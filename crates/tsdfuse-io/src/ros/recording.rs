@@ -6,7 +6,7 @@ use tsdfuse::glam::DVec3;
 use tsdfuse::scan::PoseAt;
 use tsdfuse::sensor::Pinhole;
 use tsdfuse::trajectory::{ns_after, secs_between};
-use tsdfuse::{Pose, Scan, Trajectory};
+use tsdfuse::{Pose, STANDARD_GRAVITY, Scan, Trajectory};
 
 use super::bag::Bag;
 use super::container::{Channel, Entry};
@@ -24,8 +24,6 @@ use crate::source::{GnssFix, ImageRef, ImuSample, OpenOptions, Recorded, ScanRef
 
 /// Clocks that differ by more than this are different clocks, seconds.
 const SAME_CLOCK_SECS: f64 = 1.0;
-/// Accelerometers that show about 1 at rest show g.
-const G: f64 = 9.806_65;
 
 /// An opened recording.
 pub(crate) struct Recording {
@@ -738,10 +736,11 @@ impl Source for Recording {
         };
         samples.sort_by_key(|sample| sample.time_ns);
         let mut lengths: Vec<f64> = samples.iter().map(|sample| sample.acceleration.length()).collect();
+        // Accelerometers that show about 1 at rest show g.
         let is_in_g = (0.5..2.0).contains(&super::point_times::median(&mut lengths));
         for sample in &mut samples {
             if is_in_g {
-                sample.acceleration *= G;
+                sample.acceleration *= STANDARD_GRAVITY;
             }
             if let Some(pose) = body_from_imu {
                 sample.angular_velocity = pose.rotation * sample.angular_velocity;

@@ -1,12 +1,10 @@
 //! Packets of the inertial measurement unit, in the two profiles that there are.
 
-use tsdfuse::ImuSample;
 use tsdfuse::glam::{DMat3, DVec3};
+use tsdfuse::{ImuSample, STANDARD_GRAVITY};
 
 use crate::bytes::{f32_at, u8_at, u64_at};
 
-/// m/s² of what the first profile counts as 1 g.
-const GRAVITY: f64 = 9.806_65;
 /// Of the second profile: the header, then the time and text of a GNSS receiver.
 const BEFORE: usize = 32 + 100;
 const SAMPLE: usize = 36;
@@ -59,7 +57,11 @@ impl ImuProfile {
         };
         let all: Vec<ImuSample> = match self {
             // The time of the gyroscope; accelerations are measured within half a millisecond.
-            Self::One => vec![sample(16, vector(24) * GRAVITY, vector(36).map(f64::to_radians))],
+            Self::One => vec![sample(
+                16,
+                vector(24) * STANDARD_GRAVITY,
+                vector(36).map(f64::to_radians),
+            )],
             Self::Many(samples) => (0..samples)
                 .map(|i| BEFORE + i * SAMPLE)
                 .filter(|at| u8_at(payload, at + 10) & 1 != 0)
