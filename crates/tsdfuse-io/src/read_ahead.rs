@@ -10,7 +10,7 @@ use tsdfuse::scan::RangeLimits;
 
 use crate::error::{Error, Result};
 use crate::selection::Selection;
-use crate::source::{News, Sensor, Source, Stream, StreamedScan, checked, read_checked};
+use crate::source::{Kept, News, OpenOptions, Sensor, Source, Stream, StreamedScan, checked, read_checked};
 
 /// Threads that read from a source; each holds at most one scan until the caller takes it.
 const LANES: usize = 2;
@@ -37,6 +37,9 @@ pub(crate) struct Live {
     pub(crate) notes: Vec<String>,
     pub(crate) news: News,
     pub(crate) is_placed: bool,
+    pub(crate) kept: Option<Arc<dyn Kept>>,
+    /// How it was opened.
+    pub(crate) options: OpenOptions,
     /// `None` once somebody reads it.
     stream: Mutex<Option<Box<dyn Stream>>>,
 }
@@ -49,6 +52,8 @@ impl Live {
             notes: stream.notes().to_vec(),
             news: stream.news(),
             is_placed: stream.is_placed(),
+            kept: stream.kept(),
+            options: OpenOptions::default(),
             stream: Mutex::new(Some(Box::new(stream))),
         }
     }

@@ -71,6 +71,30 @@ fn sweeps_come_as_they_are_sent_and_lost_packets_are_counted() {
 }
 
 #[test]
+fn what_is_kept_is_read_again_bit_for_bit() {
+    let port = free_port();
+    let sender = send(port, 0..250, Duration::from_micros(300));
+    let log = opened(port, &[]);
+    let folder = tempfile::tempdir().unwrap();
+    assert!(log.keep(folder.path()).unwrap());
+    let streamed: Vec<_> = log.read_ahead(&Selection::default()).collect();
+    sender.join().unwrap();
+    let recording = log.recording().unwrap();
+    assert_eq!(recording.len(), Some(3), "{:?}", recording.notes());
+    assert_eq!(recording.sensors(), log.sensors());
+    // Keeping began within the first sweep.
+    for (index, read) in streamed.iter().enumerate().take(3).skip(1) {
+        let (first, again) = (read.scan.as_ref().unwrap(), recording.read(index).unwrap());
+        assert_eq!(first.time_ns, again.time_ns);
+        assert!(first.points == again.points && first.times == again.times && first.rings == again.rings);
+        assert!(first.intensities == again.intensities && !again.points.is_empty());
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    drop(log);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
 fn the_newest_sweep_wins_if_nobody_can_keep_up() {
     let port = free_port();
     let sender = send(port, 0..75 * 12, Duration::from_micros(200));
