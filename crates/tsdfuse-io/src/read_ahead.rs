@@ -63,6 +63,14 @@ impl Live {
     }
 }
 
+impl Drop for Live {
+    fn drop(&mut self) {
+        if let Some(kept) = &self.kept {
+            kept.forget();
+        }
+    }
+}
+
 /// Scans in order, the next two being read in the background. A scan that cannot be read does not end the iteration.
 ///
 /// From a source, lane k reads the k-th, (k+2)-th, … scan and waits until it is taken, so that no more than two scans wait
@@ -84,7 +92,7 @@ impl ReadAhead {
         Self(Way::Source(Lanes::new(source, indices)))
     }
 
-    pub(crate) fn of_stream(live: &Live, selection: Selection) -> Self {
+    pub(crate) fn of_stream(live: &Arc<Live>, selection: Selection) -> Self {
         match live.take() {
             Some(stream) => match Pipe::new(live, stream, selection) {
                 Ok(pipe) => Self(Way::Stream(pipe)),
@@ -233,17 +241,23 @@ impl Drop for Lanes {
 }
 
 /// The thread that reads from a stream.
-#[derive(Debug)]
 struct Pipe {
-    format: String,
+    /// What is kept of it may be read meanwhile.
+    live: Arc<Live>,
     scans: Receiver<ReadScan>,
     /// `None` once its end is known.
     thread: Option<JoinHandle<()>>,
     next: usize,
 }
 
+impl std::fmt::Debug for Pipe {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Pipe").field("next", &self.next).finish_non_exhaustive()
+    }
+}
+
 impl Pipe {
-    fn new(live: &Live, mut stream: Box<dyn Stream>, selection: Selection) -> std::io::Result<Self> {
+    fn new(live: &Arc<Live>, mut stream: Box<dyn Stream>, selection: Selection) -> std::io::Result<Self> {
         let sensors = live.sensors.clone();
         // One waits in the channel, one to get into it.
         let (sender, scans) = sync_channel(1);
@@ -271,7 +285,7 @@ impl Pipe {
         };
         let thread = Builder::new().name("read-stream".to_owned()).spawn(run)?;
         Ok(Self {
-            format: live.format.clone(),
+            live: live.clone(),
             scans,
             thread: Some(thread),
             next: 0,
@@ -299,7 +313,7 @@ impl Pipe {
         panicked.then(|| ReadScan {
             index: self.next,
             sensor: 0,
-            scan: Err(died(&self.format)),
+            scan: Err(died(&self.live.format)),
             read_secs: 0.0,
         })
     }
@@ -416,14 +430,14 @@ mod tests {
         (Arc::new(source), reads)
     }
 
-    fn live(end: usize) -> (Live, Arc<AtomicUsize>) {
+    fn live(end: usize) -> (Arc<Live>, Arc<AtomicUsize>) {
         let reads = Arc::new(AtomicUsize::new(0));
         let stream = Flowing {
             next: 0,
             end,
             reads: reads.clone(),
         };
-        (Live::new(stream), reads)
+        (Arc::new(Live::new(stream)), reads)
     }
 
     /// Waits until the background has come to a rest; fails if it never reads that much.

@@ -268,7 +268,7 @@ pub trait Stream: Send {
 
 /// What keeps a [`Stream`], so that it can be read again.
 pub trait Kept: Send + Sync {
-    /// From now on, what comes is kept: in this folder, as long as this exists, unless it is a recording already.
+    /// From now on, what comes is kept: in this folder, until it is forgotten, unless it is a recording already.
     ///
     /// # Errors
     /// Names the folder and the reason.
@@ -279,6 +279,9 @@ pub trait Kept: Send + Sync {
     /// # Errors
     /// If it was not kept, or could not be.
     fn recording(&self) -> Result<PathBuf>;
+
+    /// Nobody needs it any more, though who waits for the stream may hold it still: what is temporary goes.
+    fn forget(&self);
 }
 
 /// What a [`Stream`] has to tell by now, one sentence each.

@@ -286,7 +286,7 @@ impl Stream for Follow {
     fn kept(&self) -> Option<Arc<dyn Kept>> {
         Some(Arc::new(Written {
             path: self.path.clone(),
-            _spool: self.spool.as_ref().map(|spool| spool.file.clone()),
+            spool: self.spool.as_ref().map(|spool| spool.file.clone()),
         }))
     }
 
@@ -298,8 +298,7 @@ impl Stream for Follow {
 /// A recording is a file already.
 struct Written {
     path: PathBuf,
-    /// Which is removed when nobody needs it any more.
-    _spool: Option<Arc<NamedTempFile>>,
+    spool: Option<Arc<NamedTempFile>>,
 }
 
 impl Kept for Written {
@@ -309,5 +308,12 @@ impl Kept for Written {
 
     fn recording(&self) -> Result<PathBuf> {
         Ok(self.path.clone())
+    }
+
+    fn forget(&self) {
+        if let Some(spool) = &self.spool {
+            // It may be gone already.
+            let _ = std::fs::remove_file(spool.path());
+        }
     }
 }
