@@ -477,7 +477,9 @@ impl Session {
                 return Ok(false);
             }
         };
-        observer.on(Event::Note("the stream is over, and is fused again with corrected poses"));
+        observer.on(Event::Note(
+            "the stream is over, and is fused again with corrected poses",
+        ));
         let mut setup = self.setup.clone();
         if self.stopped {
             // What came later is not waited for.

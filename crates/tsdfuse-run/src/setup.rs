@@ -111,7 +111,9 @@ impl Setup {
     pub(crate) fn spool(&self) -> &Path {
         let beside = self.store.as_deref().unwrap_or(&self.temporary);
         let folder = if beside.is_dir() { Some(beside) } else { beside.parent() };
-        folder.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+        folder
+            .filter(|folder| !folder.as_os_str().is_empty())
+            .unwrap_or(Path::new("."))
     }
 
     /// Whether not all of the map is in memory.

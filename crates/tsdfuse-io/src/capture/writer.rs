@@ -42,7 +42,11 @@ pub(crate) fn append(
     let mut record = Vec::with_capacity(16 + length as usize);
     let secs = received_ns.div_euclid(1_000_000_000) as u32;
     let nanos = received_ns.rem_euclid(1_000_000_000) as u32;
-    record.extend([secs, nanos, length, length].iter().flat_map(|field| field.to_le_bytes()));
+    record.extend(
+        [secs, nanos, length, length]
+            .iter()
+            .flat_map(|field| field.to_le_bytes()),
+    );
     builder.write(&mut record, payload).map_err(Error::other)?;
     // At once: half a record must not be what a reader finds last.
     output.write_all(&record)

@@ -119,7 +119,9 @@ impl Kept for Packets {
 fn remove_stale(parent: &Path) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let is_ours = entry.file_name().to_string_lossy().starts_with(PREFIX);
-        let lock = is_ours.then(|| File::open(entry.path().join(LOCK))).and_then(io::Result::ok);
+        let lock = is_ours
+            .then(|| File::open(entry.path().join(LOCK)))
+            .and_then(io::Result::ok);
         if lock.is_some_and(|lock| lock.try_lock().is_ok()) {
             // If the system refuses, it stays.
             let _ = fs::remove_dir_all(entry.path());
@@ -170,7 +172,10 @@ mod tests {
         packets.take(0, &[1; 1206]);
         assert_eq!(left(parent.path()), 0);
         let told = packets.recording().unwrap_err().to_string();
-        assert!(told.starts_with("udp://:2368: what it sent could not be kept: "), "{told}");
+        assert!(
+            told.starts_with("udp://:2368: what it sent could not be kept: "),
+            "{told}"
+        );
         assert!(packets.keep(&parent.path().join("none")).is_err());
     }
 }
