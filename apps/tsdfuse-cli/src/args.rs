@@ -82,7 +82,7 @@ pub(crate) struct RunArgs {
     /// Fuse on the CPU or a GPU (gpu:NAME: the one whose name contains NAME).
     #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
     pub(crate) device: Device,
-    /// Correct the poses that odometry finds, or that are refined, where the sensor comes back, before anything is fused.
+    /// Correct the poses that odometry finds, or that are refined, where the sensor comes back, before anything is fused; of a stream when it is over.
     #[arg(long, value_name = "on|off", default_value = "on")]
     loops: Loops,
     /// Leave out returns of things that move: those in space that was known to be free.

@@ -42,10 +42,11 @@ impl Observer for Terminal {
     fn on(&mut self, event: Event<'_>) {
         match event {
             Event::Begun { scans, done, .. } => {
-                if self.is_resumed {
+                if std::mem::take(&mut self.is_resumed) {
                     let asked = scans.map_or("the".to_owned(), |scans| scans.to_string());
                     say(format_args!("continuing after {done} of {asked} scans"));
                 }
+                (self.here, self.driven_m) = (None, 0.0);
                 self.bar = Some(progress::scans("fusing", scans.map(|scans| scans.saturating_sub(done))));
             }
             Event::ScanRead { scan, .. } => {

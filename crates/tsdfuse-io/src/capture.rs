@@ -10,6 +10,7 @@
 mod datagrams;
 mod parts;
 mod records;
+pub(crate) mod writer;
 
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};

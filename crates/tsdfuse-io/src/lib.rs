@@ -76,7 +76,8 @@ pub use log::{Log, open, open_with};
 pub use read_ahead::{ReadAhead, ReadScan, Scans};
 pub use selection::Selection;
 pub use source::{
-    GnssFix, ImageRef, ImuSample, News, OpenOptions, Recorded, ScanRef, Sensor, Source, Stream, StreamedScan, Topic,
+    GnssFix, ImageRef, ImuSample, Kept, News, OpenOptions, Recorded, ScanRef, Sensor, Source, Stream, StreamedScan,
+    Topic,
 };
 pub use suggested::{
     DEPTH_CAMERA_MAX_RANGE_M, DEPTH_CAMERA_METHOD, DEPTH_CAMERA_TRUNCATION_M, DEPTH_CAMERA_VOXEL_SIZE_M, Suggested,

@@ -123,7 +123,7 @@ pub fn open(path: impl AsRef<Path>) -> Result<Log> {
 /// # Errors
 /// As [`open`].
 pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
-    let path = path.as_ref();
+    let (path, asked) = (path.as_ref(), options);
     let told = options
         .sensor_file
         .as_deref()
@@ -140,7 +140,7 @@ pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Log> {
         },
         ..options.clone()
     };
-    let mut log = open_as_told(path, &options)?;
+    let mut log = open_as_told(path, &options)?.opened_with(asked);
     // A name may ask for another model.
     let wants_model = matches!(log.sensors(), [sensor] if options.sensors.is_empty() || sensor.model.is_none());
     if let Some(model) = told.model.filter(|_| wants_model) {
@@ -210,6 +210,16 @@ impl Log {
     /// A log of a stream.
     pub fn of_stream(stream: impl Stream + 'static) -> Self {
         Self(Input::Stream(Arc::new(Live::new(stream))))
+    }
+
+    /// A stream is opened in the same way when it is read again.
+    fn opened_with(mut self, options: &OpenOptions) -> Self {
+        if let Input::Stream(live) = &mut self.0
+            && let Some(live) = Arc::get_mut(live)
+        {
+            live.options = options.clone();
+        }
+        self
     }
 
     /// Several logs as one, their scans in order of time: of several sensors with their own extrinsics, or of several drives in
@@ -413,6 +423,45 @@ impl Log {
             Input::Source(source) => ReadAhead::of_source(source.clone(), indices),
             Input::Stream(live) => ReadAhead::refused(live, indices),
         }
+    }
+
+    /// From now on, keeps what a stream says, so that it can be read again ([`Self::recording`]), as long as this log exists; whether that is possible. A
+    /// recording that grows is a file already, and standard input lies in a temporary one; what a sensor sends is written into the folder as a capture.
+    ///
+    /// # Errors
+    /// Names the folder and the reason.
+    pub fn keep(&self, folder: &Path) -> Result<bool> {
+        match &self.0 {
+            Input::Source(_) => Ok(true),
+            Input::Stream(live) => match &live.kept {
+                Some(kept) => kept.keep(folder).map(|()| true),
+                None => Ok(false),
+            },
+        }
+    }
+
+    /// What a stream said by now, as a log whose scans can be read in any order, with the same sensors; of a log that is no stream, the log itself. It is to be
+    /// used as long as the stream's log exists.
+    ///
+    /// # Errors
+    /// If it was not kept ([`Self::keep`]), or could not be; as [`open_with`].
+    pub fn recording(&self) -> Result<Self> {
+        let Input::Stream(live) = &self.0 else {
+            return Ok(self.clone());
+        };
+        let path = live.kept.as_ref().ok_or_else(|| self.once())?.recording()?;
+        let names = |sensors: &[Sensor]| -> Vec<String> { sensors.iter().map(|sensor| sensor.name.clone()).collect() };
+        let mut options = OpenOptions {
+            follow: false,
+            ..live.options.clone()
+        };
+        let log = open_with(&path, &options)?;
+        if names(log.sensors()) == names(&live.sensors) {
+            return Ok(log);
+        }
+        // Others were heard later.
+        options.sensors = names(&live.sensors);
+        open_with(&path, &options)
     }
 
     fn once(&self) -> Error {

@@ -10,7 +10,7 @@ use tsdfuse::scan::RangeLimits;
 
 use crate::error::{Error, Result};
 use crate::selection::Selection;
-use crate::source::{News, Sensor, Source, Stream, StreamedScan, checked, read_checked};
+use crate::source::{Kept, News, OpenOptions, Sensor, Source, Stream, StreamedScan, checked, read_checked};
 
 /// Threads that read from a source; each holds at most one scan until the caller takes it.
 const LANES: usize = 2;
@@ -37,6 +37,9 @@ pub(crate) struct Live {
     pub(crate) notes: Vec<String>,
     pub(crate) news: News,
     pub(crate) is_placed: bool,
+    pub(crate) kept: Option<Arc<dyn Kept>>,
+    /// How it was opened.
+    pub(crate) options: OpenOptions,
     /// `None` once somebody reads it.
     stream: Mutex<Option<Box<dyn Stream>>>,
 }
@@ -49,12 +52,22 @@ impl Live {
             notes: stream.notes().to_vec(),
             news: stream.news(),
             is_placed: stream.is_placed(),
+            kept: stream.kept(),
+            options: OpenOptions::default(),
             stream: Mutex::new(Some(Box::new(stream))),
         }
     }
 
     fn take(&self) -> Option<Box<dyn Stream>> {
         self.stream.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        if let Some(kept) = &self.kept {
+            kept.forget();
+        }
     }
 }
 
@@ -79,7 +92,7 @@ impl ReadAhead {
         Self(Way::Source(Lanes::new(source, indices)))
     }
 
-    pub(crate) fn of_stream(live: &Live, selection: Selection) -> Self {
+    pub(crate) fn of_stream(live: &Arc<Live>, selection: Selection) -> Self {
         match live.take() {
             Some(stream) => match Pipe::new(live, stream, selection) {
                 Ok(pipe) => Self(Way::Stream(pipe)),
@@ -228,17 +241,23 @@ impl Drop for Lanes {
 }
 
 /// The thread that reads from a stream.
-#[derive(Debug)]
 struct Pipe {
-    format: String,
+    /// What is kept of it may be read meanwhile.
+    live: Arc<Live>,
     scans: Receiver<ReadScan>,
     /// `None` once its end is known.
     thread: Option<JoinHandle<()>>,
     next: usize,
 }
 
+impl std::fmt::Debug for Pipe {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Pipe").field("next", &self.next).finish_non_exhaustive()
+    }
+}
+
 impl Pipe {
-    fn new(live: &Live, mut stream: Box<dyn Stream>, selection: Selection) -> std::io::Result<Self> {
+    fn new(live: &Arc<Live>, mut stream: Box<dyn Stream>, selection: Selection) -> std::io::Result<Self> {
         let sensors = live.sensors.clone();
         // One waits in the channel, one to get into it.
         let (sender, scans) = sync_channel(1);
@@ -266,7 +285,7 @@ impl Pipe {
         };
         let thread = Builder::new().name("read-stream".to_owned()).spawn(run)?;
         Ok(Self {
-            format: live.format.clone(),
+            live: live.clone(),
             scans,
             thread: Some(thread),
             next: 0,
@@ -294,7 +313,7 @@ impl Pipe {
         panicked.then(|| ReadScan {
             index: self.next,
             sensor: 0,
-            scan: Err(died(&self.format)),
+            scan: Err(died(&self.live.format)),
             read_secs: 0.0,
         })
     }
@@ -411,14 +430,14 @@ mod tests {
         (Arc::new(source), reads)
     }
 
-    fn live(end: usize) -> (Live, Arc<AtomicUsize>) {
+    fn live(end: usize) -> (Arc<Live>, Arc<AtomicUsize>) {
         let reads = Arc::new(AtomicUsize::new(0));
         let stream = Flowing {
             next: 0,
             end,
             reads: reads.clone(),
         };
-        (Live::new(stream), reads)
+        (Arc::new(Live::new(stream)), reads)
     }
 
     /// Waits until the background has come to a rest; fails if it never reads that much.

@@ -3,7 +3,7 @@
 //! A format implements [`Source`] if its scans can be read in any order and any number of times, and [`Stream`] if they come
 //! once, one after the other. [`Log`](crate::Log) is what users of either see.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
@@ -259,6 +259,29 @@ pub trait Stream: Send {
     fn news(&self) -> News {
         News::default()
     }
+
+    /// What keeps the stream, if it can be kept.
+    fn kept(&self) -> Option<Arc<dyn Kept>> {
+        None
+    }
+}
+
+/// What keeps a [`Stream`], so that it can be read again.
+pub trait Kept: Send + Sync {
+    /// From now on, what comes is kept: in this folder, until it is forgotten, unless it is a recording already.
+    ///
+    /// # Errors
+    /// Names the folder and the reason.
+    fn keep(&self, folder: &Path) -> Result<()>;
+
+    /// The recording of what came by now. Of what comes later, nothing needs to be kept.
+    ///
+    /// # Errors
+    /// If it was not kept, or could not be.
+    fn recording(&self) -> Result<PathBuf>;
+
+    /// Nobody needs it any more, though who waits for the stream may hold it still: what is temporary goes.
+    fn forget(&self);
 }
 
 /// What a [`Stream`] has to tell by now, one sentence each.

@@ -2,7 +2,8 @@
 //!
 //! A thread receives and decodes; the newest sweep that is complete waits for whoever fuses. If that takes longer than a turn,
 //! sweeps in between are left out: what is fused is never old, and memory does not grow. What was lost, by the network or in this
-//! way, is counted. The stream ends when nothing has come for [`SILENCE_SECS`], and at once when its reader is dropped.
+//! way, is counted. The stream ends when nothing has come for [`SILENCE_SECS`], and at once when its reader is dropped. On demand, all packets
+//! are kept as a capture, which can be read again and in which no sweep is left out.
 //!
 //! Packets of one sender are read: of the first one from which packets of a LiDAR come. Its model is recognised, or told
 //! (`OpenOptions::sensors`). An Ouster needs its metadata (`OpenOptions::calibration`).
@@ -18,7 +19,11 @@ use tsdfuse_packets::{Calibration, Decoder, Sensor as Model, Sweep};
 
 use crate::calibrations::Calibrations;
 use crate::error::{Error, Result};
-use crate::source::{News, OpenOptions, Sensor, Stream, StreamedScan};
+use crate::source::{Kept, News, OpenOptions, Sensor, Stream, StreamedScan};
+
+mod kept;
+
+use kept::Packets;
 
 /// Seconds without a packet after which a stream is at its end; also how long the first one is waited for.
 pub(crate) const SILENCE_SECS: u64 = if cfg!(test) { 1 } else { 10 };
@@ -59,6 +64,7 @@ pub(crate) struct Udp {
     notes: Vec<String>,
     news: News,
     shared: Arc<Shared>,
+    packets: Arc<Packets>,
     sweeps: usize,
 }
 
@@ -134,12 +140,15 @@ impl Udp {
         let mut notes = vec![format!("{} packets come from {from}", sensor.name)];
         notes.extend(decoder.notes());
         let (shared, news) = (Arc::new(Shared::default()), News::default());
+        let to = socket.local_addr().map_err(Error::io(&name))?;
+        let packets = Arc::new(Packets::new(&name, [from, to]));
         let receiver = Receiver {
             name: name.clone(),
             socket,
             sender: from,
             decoder,
             shared: shared.clone(),
+            packets: packets.clone(),
             news: news.clone(),
             sweeps: 0,
             skipped: 0,
@@ -155,6 +164,7 @@ impl Udp {
             notes,
             news,
             shared,
+            packets,
             sweeps: 0,
         })
     }
@@ -205,6 +215,7 @@ struct Receiver {
     sender: SocketAddr,
     decoder: Decoder,
     shared: Arc<Shared>,
+    packets: Arc<Packets>,
     news: News,
     sweeps: u64,
     skipped: u64,
@@ -243,6 +254,7 @@ impl Receiver {
     fn take(&mut self, packet: &[u8]) {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let received_ns = i64::try_from(now.as_nanos()).unwrap_or(i64::MAX);
+        self.packets.take(received_ns, packet);
         match self.decoder.push(received_ns, packet) {
             Ok(sweep) => self.give(sweep),
             Err(_) => self.bad += 1,
@@ -319,6 +331,10 @@ impl Stream for Udp {
 
     fn news(&self) -> News {
         self.news.clone()
+    }
+
+    fn kept(&self) -> Option<Arc<dyn Kept>> {
+        Some(self.packets.clone())
     }
 
     fn is_placed(&self) -> bool {

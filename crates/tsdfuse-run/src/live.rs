@@ -102,6 +102,9 @@ impl Observer for LiveRun {
                 ..
             } => {
                 self.voxel_size_m = voxel_size_m;
+                // A stream that is over is fused again.
+                self.live.path(&[]);
+                (self.scans, self.skipped, self.sums) = (0, 0, Sums::default());
                 (self.begun, self.asked) = (Instant::now(), scans.map(|scans| scans.saturating_sub(done)));
             }
             Event::ScanRead { scan, .. } => self.sweep(scan),

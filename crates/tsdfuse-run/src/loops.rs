@@ -90,12 +90,21 @@ impl Loops {
         })
     }
 
-    /// Takes the next scan, which is placed.
-    pub(crate) fn push(&mut self, index: usize, scan: &Scan, quality: &Quality) {
+    /// Takes the next scan, which is placed; whether that closed a loop.
+    pub(crate) fn push(&mut self, index: usize, scan: &Scan, quality: &Quality) -> bool {
         let start = Instant::now();
-        self.closer.push(scan, quality);
+        let closed = self.closer.push(scan, quality);
         self.indices.push(index);
         self.seconds += start.elapsed().as_secs_f64();
+        closed > 0
+    }
+
+    /// Where the sensor was when it came by first and when it came back, for each closure so far, by the poses that scans were placed with.
+    pub(crate) fn ends(&self) -> Vec<[DVec3; 2]> {
+        let closer = &self.closer;
+        let place = |scan| (closer.correction(scan).inverse() * closer.pose(scan)).translation;
+        let closures = closer.closures().iter();
+        closures.map(|c| [place(c.earlier), place(c.later)]).collect()
     }
 
     /// No more scans will come.

@@ -2,7 +2,7 @@
 //! grows.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use tsdfuse::Pose;
@@ -34,6 +34,8 @@ const GRID_REST: u32 = 20;
 /// clients of a server.
 pub struct Recording {
     writer: Option<Writer>,
+    /// The file, if it is one, and the sensor.
+    file: Option<(PathBuf, Vec<Sensor>)>,
     stop: Stop,
     failed: Option<RunError>,
     occupancy: Occupancy,
@@ -53,7 +55,10 @@ impl Recording {
     pub fn create(path: &Path, log: &Log, stop: &Stop) -> Result<Self> {
         // Which sensor a scan is of does not matter any more once it is placed.
         let sensors: Vec<Sensor> = log.sensors().iter().take(1).cloned().collect();
-        Self::to(Writer::create(path, &sensors)?, stop)
+        Ok(Self {
+            file: Some((path.to_owned(), sensors.clone())),
+            ..Self::to(Writer::create(path, &sensors)?, stop)?
+        })
     }
 
     /// Tells the clients of a server: who comes late, is told all of the surface.
@@ -73,6 +78,7 @@ impl Recording {
         writer.announce()?;
         Ok(Self {
             writer: Some(writer),
+            file: None,
             stop: stop.clone(),
             failed: None,
             occupancy: Occupancy::new(OccupancyConfig::default()).map_err(RunError::config)?,
@@ -116,6 +122,20 @@ impl Recording {
             if writer.is_surface_new_to_some() {
                 let parts: Vec<SurfacePart> = recording.pieces.keys().map(|place| recording.part(*place)).collect();
                 writer.write_surface(recording.last_ns, &parts)?;
+            }
+            Ok(())
+        });
+    }
+
+    /// A stream that is over is fused again: a file begins again, too; clients of a server are told what is new in place of what was.
+    fn begin_again(&mut self) {
+        self.try_to(|recording, writer| {
+            recording.occupancy = Occupancy::new(OccupancyConfig::default()).map_err(RunError::config)?;
+            recording.heights_m = [f64::INFINITY, f64::NEG_INFINITY];
+            if let Some((path, sensors)) = &recording.file {
+                recording.pieces.clear();
+                *writer = Writer::create(path, sensors)?;
+                writer.announce()?;
             }
             Ok(())
         });
@@ -181,6 +201,7 @@ fn corners(piece: &Piece<'_>) -> Vec<DVec3> {
 impl Observer for Recording {
     fn on(&mut self, event: Event<'_>) {
         match event {
+            Event::Begun { .. } => self.begin_again(),
             Event::ScanRead { scan, .. } => self.try_to(|recording, writer| {
                 let time_ns = writer.time_ns(scan);
                 recording.last_ns = time_ns;

@@ -163,7 +163,8 @@ impl Job {
         while session.step(observer)? {
             let is_fused = session.skipped().len() == skipped;
             (fused, skipped) = (fused + usize::from(is_fused), session.skipped().len());
-            if is_fused && fused.is_multiple_of(every.max(1)) {
+            // Of a stream that is fused again, the mesh so far is more than the first scans.
+            if is_fused && fused.is_multiple_of(every.max(1)) && !session.is_again() {
                 let start = Instant::now();
                 session.wait(observer)?;
                 match session.write_surface(path) {

@@ -1,6 +1,7 @@
 //! The loop: scans are read ahead, cleaned, fused, followed and committed, one after the other.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
+use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
@@ -24,6 +25,7 @@ use crate::job::Job;
 use crate::labels;
 use crate::layers::{Colors, Layers, Painting};
 use crate::load::Loading;
+use crate::loops::Loops;
 use crate::memory::InMemory;
 use crate::paged::Paged;
 use crate::paint;
@@ -75,6 +77,12 @@ fn open(map: VoxelMap, setup: &Setup, sensors: &[Option<SensorModel>]) -> Result
 pub struct Session {
     setup: Setup,
     log: Log,
+    /// The stream of which the log is what was recorded.
+    stream: Option<Log>,
+    /// The loops of a stream, which are closed when it is over.
+    loops: Option<Loops>,
+    /// Blocks whose surface was told of a stream, and not again since its loops are closed.
+    shown: BTreeSet<BlockIndex>,
     /// What messages call it.
     name: String,
     reading: Option<ReadAhead>,
@@ -196,13 +204,23 @@ impl Session {
     /// If the store was not begun with this configuration and these scans.
     pub(crate) fn resume(
         log: &Log,
-        setup: Setup,
+        mut setup: Setup,
         store: PagedMap,
         checkpoint: Checkpoint,
         observer: &mut dyn Observer,
     ) -> Result<Self> {
         setup.check()?;
         let path = store.path().display().to_string();
+        let (mut log, mut stream) = (log.clone(), None);
+        if let (None, Some(scans)) = (log.len(), checkpoint.asked) {
+            // A stream that was over, and was fused again.
+            log.recording()?;
+            log.read_ahead(&Selection::default()).for_each(drop);
+            let recording = log.recording()?;
+            let indices = setup.selection.indices(recording.scans().len());
+            setup.selection.to = indices.get(scans).copied().or(setup.selection.to);
+            stream = Some(std::mem::replace(&mut log, recording));
+        }
         if checkpoint.config != setup.config {
             return Err(RunError::config(format_args!(
                 "{path}: was begun with other settings, or the log has changed"
@@ -224,8 +242,8 @@ impl Session {
         }
         let poses = store.poses().to_vec();
         let backend = Paged::resume(store, &setup, &checkpoint.sensors);
-        let mut session = Self::with(log, setup, Box::new(backend), checkpoint)?;
-        session.poses = poses;
+        let mut session = Self::with(&log, setup, Box::new(backend), checkpoint)?;
+        (session.stream, session.poses) = (stream, poses);
         session.started(observer)
     }
 
@@ -243,6 +261,8 @@ impl Session {
             }
             Placing::Refine | Placing::Given => (Placer::Log, 0),
         };
+        let is_kept = setup.tracks_again(log) && log.keep(setup.spool())?;
+        let loops = is_kept.then(|| Loops::of(log, setup.config.loops)).transpose()?;
         let mut next = VecDeque::new();
         let reading = match log.len() {
             Some(scans) => {
@@ -262,6 +282,9 @@ impl Session {
                 None => log.format().to_owned(),
             },
             log: log.clone(),
+            stream: None,
+            loops,
+            shown: BTreeSet::new(),
             reading: Some(reading),
             is_prepared: false,
             placer,
@@ -389,7 +412,8 @@ impl Session {
         };
         let waiting = Instant::now();
         let read = reading.next_unless(|| self.stop.is_stopped());
-        self.stopped = read.is_none() && self.stop.is_stopped();
+        // A stream that was stopped is fused again to the end.
+        self.stopped |= read.is_none() && self.stop.is_stopped();
         let Some(read) = read else {
             self.reading = None;
             // Of a run that was stopped, scans that are not placed yet wait for its going on.
@@ -398,7 +422,7 @@ impl Session {
                 self.fuse_placed(placed, 0.0, observer)?;
             }
             self.settle_all(observer)?;
-            return Ok(false);
+            return self.begin_again(observer);
         };
         let wait = waiting.elapsed().as_secs_f64();
         if self.log.len().is_none() {
@@ -422,6 +446,11 @@ impl Session {
         observer: &mut dyn Observer,
     ) -> Result<()> {
         for (read, quality) in placed {
+            if let (Some(loops), Ok(scan), Some(quality)) = (&mut self.loops, &read.scan, &quality)
+                && loops.push(read.index, scan, quality)
+            {
+                observer.on(Event::LoopsClosed(&loops.ends()));
+            }
             if self.repeated > 0 {
                 self.repeated -= 1;
             } else if self.full.is_none() {
@@ -429,6 +458,70 @@ impl Session {
             }
         }
         Ok(())
+    }
+
+    /// When a stream is over, begins to fuse what was recorded of it, as any log, if that is to change anything; whether it does. Then loops are closed, and an IMU and
+    /// GNSS of the recording are known.
+    fn begin_again(&mut self, observer: &mut dyn Observer) -> Result<bool> {
+        let Some(loops) = self.loops.take() else {
+            return Ok(false);
+        };
+        let Some(last) = self.poses.last().filter(|_| self.full.is_none()) else {
+            return Ok(false);
+        };
+        let log = match self.recording(loops) {
+            Ok(Some(log)) => log,
+            Ok(None) => return Ok(false),
+            Err(error) => {
+                observer.on(Event::Note(&format!("{error}; so the loops stay open")));
+                return Ok(false);
+            }
+        };
+        observer.on(Event::Note(
+            "the stream is over, and is fused again with corrected poses",
+        ));
+        let mut setup = self.setup.clone();
+        if self.stopped {
+            // What came later is not waited for.
+            let scans = log.scans().partition_point(|scan| scan.time_ns <= last.time_ns);
+            setup.selection.to = Some(setup.selection.to.unwrap_or(scans).min(scans));
+        }
+        // The map so far goes first: there might not be room for both, and a store has one name.
+        self.backend = Box::new(InMemory::new(
+            VoxelMap::new(setup.config.map)?,
+            Integrators::new(&setup.config, &[]),
+            setup.config.mesh,
+        ));
+        if let Some(store) = &setup.store {
+            fs::remove_file(store).map_err(tsdfuse_io::Error::io(store))?;
+        }
+        let again = Self::begin_job(&log, setup, self.checkpoint.job.take(), observer)?;
+        let before = std::mem::replace(self, again);
+        self.stopped = before.stopped;
+        if !before.stopped {
+            self.stop = before.stop;
+        }
+        (self.name, self.shown, self.stream) = (before.name, before.shown, Some(before.log));
+        Ok(true)
+    }
+
+    /// What was recorded of the stream, if that leads to other poses.
+    fn recording(&self, loops: Loops) -> Result<Option<Log>> {
+        let log = self.log.recording()?;
+        let RunConfig {
+            odometry,
+            loops: config,
+            ..
+        } = self.setup.config;
+        let is_corrected = !loops.finish().report.closures.is_empty()
+            || (odometry.imu || config.gravity) && !log.imu()?.is_empty()
+            || config.gnss && !log.gnss()?.is_empty();
+        Ok(is_corrected.then_some(log))
+    }
+
+    /// Whether this is a stream that is over, and that is fused once more.
+    pub fn is_again(&self) -> bool {
+        self.stream.is_some()
     }
 
     /// Fuses a scan that does not come from the log: of a sensor by its number in the log.
@@ -472,6 +565,9 @@ impl Session {
         self.seconds = self.begun.elapsed().as_secs_f64();
         if self.setup.follow_every.is_some() || observer.surface_share().is_some() {
             self.tell_changes(observer)?;
+            if self.is_again() {
+                observer.on(Event::SurfaceChanged(&Changes::gone(std::mem::take(&mut self.shown))));
+            }
         }
         observer.on(Event::Done { stopped: self.stopped });
         Ok(())
@@ -697,6 +793,13 @@ impl Session {
         let start = Instant::now();
         let updated = std::mem::take(&mut self.unfollowed);
         self.backend.follow(&updated, &mut self.changes)?;
+        for piece in self.changes.iter() {
+            if self.loops.is_some() && !piece.triangles.is_empty() {
+                self.shown.insert(piece.block);
+            } else {
+                self.shown.remove(&piece.block);
+            }
+        }
         observer.on(Event::SurfaceChanged(&self.changes));
         self.following_secs += start.elapsed().as_secs_f64();
         Ok(())

@@ -1,6 +1,6 @@
 //! How a log is fused, and where the map is meanwhile.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tsdfuse::Pose;
@@ -32,8 +32,8 @@ pub struct Setup {
     pub config: RunConfig,
     /// How scans come by their poses.
     pub placing: Placing,
-    /// Whether loops are closed before anything is fused: where the sensor comes back, poses and map meet. It takes a first pass over the log, so
-    /// streams are fused without it.
+    /// Whether loops are closed: where the sensor comes back, poses and map meet. A first pass over the log does that before anything is fused. A stream is fused
+    /// as it comes, and again when it is over and its poses are corrected.
     pub loops: bool,
     /// Which scans are fused.
     pub selection: Selection,
@@ -47,7 +47,7 @@ pub struct Setup {
     pub store: Option<PathBuf>,
     /// Scans from commit to commit of the store.
     pub commit_every: usize,
-    /// Where the temporary store of a limited memory lies: in this folder.
+    /// Where the temporary store of a limited memory lies, and what is kept of a stream: in this folder, or beside this file.
     pub temporary: PathBuf,
     /// A saved map to continue. Odometry looks for the log's place in it.
     pub load_map: Option<PathBuf>,
@@ -94,7 +94,26 @@ impl Setup {
 
     /// Whether odometry finds the poses of all scans, and closes their loops, before the first one is fused.
     pub(crate) fn tracks_first(&self, log: &Log) -> bool {
-        self.loops && self.placing == Placing::Track && self.load_map.is_none() && log.len().is_some()
+        self.closes_loops() && log.len().is_some()
+    }
+
+    /// Whether the log is a stream that is fused again where its loops are closed.
+    pub(crate) fn tracks_again(&self, log: &Log) -> bool {
+        self.closes_loops() && log.len().is_none()
+    }
+
+    /// In a map that is continued, scans have their place.
+    fn closes_loops(&self) -> bool {
+        self.loops && self.placing == Placing::Track && self.load_map.is_none()
+    }
+
+    /// The folder in which a stream is kept: there is as much room as for the results, or for the store.
+    pub(crate) fn spool(&self) -> &Path {
+        let beside = self.store.as_deref().unwrap_or(&self.temporary);
+        let folder = if beside.is_dir() { Some(beside) } else { beside.parent() };
+        folder
+            .filter(|folder| !folder.as_os_str().is_empty())
+            .unwrap_or(Path::new("."))
     }
 
     /// Whether not all of the map is in memory.

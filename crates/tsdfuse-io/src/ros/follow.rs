@@ -2,15 +2,16 @@
 //!
 //! The index is made anew when the file has grown: after at least [`SHARE`] times as long as making it took, so that most of the time
 //! is left for what is done with the scans, however long the recording gets. Scans of the last [`HELD_BACK_SECS`] wait for what may
-//! belong to them: the rest of their packets, and poses. Standard input is copied into a temporary file as it comes.
+//! belong to them: the rest of their packets, and poses. Standard input is copied into a temporary file as it comes. So either can be read again in
+//! the end.
 //!
 //! The end is that of standard input, the end mark of MCAP, or [`SILENCE_SECS`] without a new byte.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, PoisonError};
 use std::thread::{self, Builder};
 use std::time::{Duration, Instant};
 
@@ -21,7 +22,7 @@ use super::mcap;
 use super::recording::Recording;
 use crate::error::{Error, Result};
 use crate::files;
-use crate::source::{OpenOptions, Sensor, Source, Stream, StreamedScan};
+use crate::source::{Kept, News, OpenOptions, Sensor, Source, Stream, StreamedScan};
 
 /// Seconds without a new byte after which a recording is taken to be at its end.
 const SILENCE_SECS: u64 = if cfg!(test) { 3 } else { 10 };
@@ -59,8 +60,9 @@ struct Indexed {
 
 /// Standard input, on its way into a file.
 struct Spool {
-    file: NamedTempFile,
+    file: Arc<NamedTempFile>,
     is_over: Arc<AtomicBool>,
+    news: News,
 }
 
 impl Spool {
@@ -68,15 +70,22 @@ impl Spool {
         let error = |e| Error::io("standard input")(e);
         let file = NamedTempFile::new().map_err(error)?;
         let mut copy = file.reopen().map_err(error)?;
-        let is_over = Arc::new(AtomicBool::new(false));
-        let flag = is_over.clone();
+        let (is_over, news) = (Arc::new(AtomicBool::new(false)), News::default());
+        let (flag, tell, path) = (is_over.clone(), news.clone(), file.path().to_owned());
         let run = move || {
-            // What came before an error is read; the end of a recording shows whether it is whole.
-            let _ = std::io::copy(&mut input, &mut copy);
+            // What came before an error is read.
+            if let Err(error) = std::io::copy(&mut input, &mut copy) {
+                let sentence = format!("standard input: its copy, {}, is not whole: {error}", path.display());
+                tell.lock().unwrap_or_else(PoisonError::into_inner).push(sentence);
+            }
             flag.store(true, Ordering::Release);
         };
         Builder::new().name("read-stdin".to_owned()).spawn(run).map_err(error)?;
-        Ok(Self { file, is_over })
+        Ok(Self {
+            file: Arc::new(file),
+            is_over,
+            news,
+        })
     }
 }
 
@@ -269,7 +278,42 @@ impl Stream for Follow {
         &self.notes
     }
 
+    fn news(&self) -> News {
+        let news = self.spool.as_ref().map(|spool| spool.news.clone());
+        news.unwrap_or_default()
+    }
+
+    fn kept(&self) -> Option<Arc<dyn Kept>> {
+        Some(Arc::new(Written {
+            path: self.path.clone(),
+            spool: self.spool.as_ref().map(|spool| spool.file.clone()),
+        }))
+    }
+
     fn is_placed(&self) -> bool {
         self.recording.scans().iter().any(|scan| scan.pose.is_some())
+    }
+}
+
+/// A recording is a file already.
+struct Written {
+    path: PathBuf,
+    spool: Option<Arc<NamedTempFile>>,
+}
+
+impl Kept for Written {
+    fn keep(&self, _: &Path) -> Result<()> {
+        Ok(())
+    }
+
+    fn recording(&self) -> Result<PathBuf> {
+        Ok(self.path.clone())
+    }
+
+    fn forget(&self) {
+        if let Some(spool) = &self.spool {
+            // It may be gone already.
+            let _ = std::fs::remove_file(spool.path());
+        }
     }
 }

@@ -545,13 +545,18 @@ fn same_scans(name: &str, log: &Log) {
     assert!(log.len().is_none() && log.is_unplaced() == whole.is_unplaced());
     let streamed: Vec<_> = log.into_iter().map(Result::unwrap).collect();
     let wanted: Vec<_> = whole.into_iter().map(Result::unwrap).collect();
-    assert_eq!(streamed.len(), wanted.len(), "{name}");
-    for (a, b) in streamed.iter().zip(&wanted) {
-        assert_eq!(
-            (a.time_ns, a.pose, &a.points, &a.times),
-            (b.time_ns, b.pose, &b.points, &b.times),
-            "{name}"
-        );
+    // When it is over, it can be read again.
+    let recording = log.recording().unwrap();
+    let again: Vec<_> = recording.into_iter().map(Result::unwrap).collect();
+    assert_eq!((streamed.len(), again.len()), (wanted.len(), wanted.len()), "{name}");
+    for ((a, b), c) in streamed.iter().zip(&wanted).zip(&again) {
+        for scan in [a, c] {
+            assert_eq!(
+                (scan.time_ns, scan.pose, &scan.points, &scan.times),
+                (b.time_ns, b.pose, &b.points, &b.times),
+                "{name}"
+            );
+        }
     }
 }
 

@@ -71,6 +71,32 @@ fn sweeps_come_as_they_are_sent_and_lost_packets_are_counted() {
 }
 
 #[test]
+fn what_is_kept_is_read_again_bit_for_bit() {
+    let port = free_port();
+    let sender = send(port, 0..250, Duration::from_micros(300));
+    let log = opened(port, &[]);
+    let folder = tempfile::tempdir().unwrap();
+    assert!(log.keep(folder.path()).unwrap());
+    let mut scans = log.read_ahead(&Selection::default());
+    let streamed: Vec<_> = scans.by_ref().take(3).collect();
+    sender.join().unwrap();
+    let recording = log.recording().unwrap();
+    assert_eq!(recording.len(), Some(3), "{:?}", recording.notes());
+    assert_eq!(recording.sensors(), log.sensors());
+    // Keeping began within the first sweep.
+    for (index, read) in streamed.iter().enumerate().skip(1) {
+        let (first, again) = (read.scan.as_ref().unwrap(), recording.read(index).unwrap());
+        assert_eq!(first.time_ns, again.time_ns);
+        assert!(first.points == again.points && first.times == again.times && first.rings == again.rings);
+        assert!(first.intensities == again.intensities && !again.points.is_empty());
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    // Though somebody waits for more.
+    drop((log, scans));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
 fn the_newest_sweep_wins_if_nobody_can_keep_up() {
     let port = free_port();
     let sender = send(port, 0..75 * 12, Duration::from_micros(200));

@@ -30,6 +30,20 @@ pub struct Changes {
 }
 
 impl Changes {
+    /// That these blocks, in this order, have no surface any more.
+    pub fn gone(blocks: impl IntoIterator<Item = BlockIndex>) -> Self {
+        let entry = |block| Entry {
+            block,
+            chunk: 0,
+            vertices: 0..0,
+            triangles: 0..0,
+        };
+        Self {
+            chunks: vec![Chunk::default()],
+            entries: blocks.into_iter().map(entry).collect(),
+        }
+    }
+
     /// The pieces, in the order of their blocks.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = Piece<'_>> {
         self.entries.iter().map(|entry| {
