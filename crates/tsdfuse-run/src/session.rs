@@ -87,6 +87,8 @@ pub struct Session {
     name: String,
     reading: Option<ReadAhead>,
     placer: Placer,
+    /// Scans that odometry has placed, which are fused while it tracks the next one; and how long was waited for them, seconds.
+    placed: (Vec<(ReadScan, Option<Quality>)>, f64),
     /// Whether the poses are known that must be before anything is fused.
     is_prepared: bool,
     /// Scans that were done before the run was broken off, and are only tracked again: poses follow from all scans before.
@@ -129,7 +131,8 @@ pub struct Session {
 enum Placer {
     /// The log did.
     Log,
-    Odometry(Box<Tracking>),
+    /// `None` while it tracks.
+    Odometry(Option<Box<Tracking>>),
     Refinement(Box<Refinement>),
 }
 
@@ -257,7 +260,7 @@ impl Session {
                     Some(map) => Tracking::in_map(log, odometry, range, map, setup.initial_pose)?,
                     None => Tracking::new(log, odometry, range)?,
                 };
-                (Placer::Odometry(Box::new(tracking)), checkpoint.done)
+                (Placer::Odometry(Some(Box::new(tracking))), checkpoint.done)
             }
             Placing::Refine | Placing::Given => (Placer::Log, 0),
         };
@@ -288,6 +291,7 @@ impl Session {
             reading: Some(reading),
             is_prepared: false,
             placer,
+            placed: Default::default(),
             repeated,
             next,
             layers: Layers::default(),
@@ -417,9 +421,12 @@ impl Session {
         let Some(read) = read else {
             self.reading = None;
             // Of a run that was stopped, scans that are not placed yet wait for its going on.
-            if let (Placer::Odometry(tracking), false) = (&mut self.placer, self.stopped) {
-                let placed = tracking.finish();
-                self.fuse_placed(placed, 0.0, observer)?;
+            if !self.stopped {
+                self.fuse_placed(observer)?;
+                if let Placer::Odometry(Some(tracking)) = &mut self.placer {
+                    self.placed = (tracking.finish(), 0.0);
+                    self.fuse_placed(observer)?;
+                }
             }
             self.settle_all(observer)?;
             return self.begin_again(observer);
@@ -431,20 +438,41 @@ impl Session {
         self.next.pop_front();
         match &mut self.placer {
             Placer::Odometry(tracking) => {
-                let placed = tracking.push(read);
-                self.fuse_placed(placed, wait, observer)?;
+                let tracking = tracking.take();
+                self.track(tracking, read, wait, observer)?;
             }
             Placer::Log | Placer::Refinement(_) => self.fuse_read(read, None, wait, observer)?,
         }
         Ok(self.full.is_none())
     }
 
-    fn fuse_placed(
+    /// Tracks a scan while those before it are fused.
+    fn track(
         &mut self,
-        placed: Vec<(ReadScan, Option<Quality>)>,
+        mut tracking: Option<Box<Tracking>>,
+        read: ReadScan,
         wait: f64,
         observer: &mut dyn Observer,
     ) -> Result<()> {
+        let mut placed = Vec::new();
+        let fused = rayon::in_place_scope(|scope| {
+            let (tracking, placed) = (&mut tracking, &mut placed);
+            scope.spawn(move |_| *placed = tracking.as_mut().map_or_else(Vec::new, |tracking| tracking.push(read)));
+            self.fuse_placed(observer)
+        });
+        self.placer = Placer::Odometry(tracking);
+        self.placed = (placed, wait);
+        fused?;
+        // Who watches a stream does not want to wait for its next scan.
+        if self.log.len().is_none() {
+            self.fuse_placed(observer)?;
+        }
+        Ok(())
+    }
+
+    /// Fuses the scans that odometry has placed.
+    fn fuse_placed(&mut self, observer: &mut dyn Observer) -> Result<()> {
+        let (placed, wait) = std::mem::take(&mut self.placed);
         for (read, quality) in placed {
             if let (Some(loops), Ok(scan), Some(quality)) = (&mut self.loops, &read.scan, &quality)
                 && loops.push(read.index, scan, quality)
@@ -892,7 +920,7 @@ impl Session {
         let of = |seconds| OdometryReport::of(seconds, &self.poses, qualities);
         match &self.placer {
             Placer::Log => None,
-            Placer::Odometry(tracking) => Some(OdometryReport {
+            Placer::Odometry(tracking) => tracking.as_ref().map(|tracking| OdometryReport {
                 pieces: tracking.pieces(),
                 imu: tracking.imu(),
                 ..of(tracking.seconds)
