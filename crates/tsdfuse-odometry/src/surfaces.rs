@@ -8,6 +8,7 @@ use crate::cells::{Cells, Seen, elevation_bit};
 use crate::motion::Motion;
 use crate::register::{COARSE, Prior, recentred, register};
 use crate::returns::Return;
+use crate::sticking::Remembered;
 use crate::tracker::{OdometryConfig, Quality};
 
 /// What the rough pose of a registration may be off, metres and radians.
@@ -98,7 +99,7 @@ impl Surfaces {
             begin: Matrix6::from_diagonal(&sigmas.map(|sigma: f64| sigma.powi(-2)).into()),
             step_sigma: LOOSE,
             most: LOOSE,
-            is_followed: true,
+            remembered: Remembered::default(),
             along: None,
             reach: reach_m,
         };
