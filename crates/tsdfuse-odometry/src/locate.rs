@@ -12,7 +12,6 @@ use crate::cells::Cells;
 use crate::motion::{Motion, turn_of};
 use crate::register::{Prior, Registered, register};
 use crate::returns::{KERNEL, Return, kernel};
-use crate::sticking::Remembered;
 
 /// Returns by which a pose is judged before it is registered.
 const JUDGES: usize = 300;
@@ -159,7 +158,7 @@ fn placed_at(cells: &Cells, sparse: &[Return], dense: &[Return], motion: &Motion
         begin: Matrix6::from_diagonal(&[1.0, 1.0, 1.0, 10.0, 10.0, 10.0].into()),
         step_sigma: (0.02, 0.005),
         most: (0.02, 0.005),
-        remembered: Remembered::default(),
+        remembered: None,
         along: None,
         reach: 1.5,
     };

@@ -11,7 +11,6 @@ use crate::cells::Cells;
 use crate::motion::{Motion, Twist, turn_of};
 use crate::register::{Prior, register, six};
 use crate::sample::{Sampled, Sampling};
-use crate::sticking::Remembered;
 use crate::systematic::{Calibrate, ErrorSums};
 use crate::tracker::{LEAST_RETURNS, OdometryConfig, Quality};
 
@@ -206,7 +205,7 @@ impl Refiner {
                 begin: Matrix6::from_diagonal(&sigmas.map(|sigma: f64| sigma.powi(-2)).into()),
                 step_sigma: GIVEN_STEP,
                 most: GIVEN_STEP,
-                remembered: Remembered::default(),
+                remembered: None,
                 along: None,
                 reach: self.reach_m,
             };

@@ -41,8 +41,9 @@ pub(crate) struct Prior {
     pub(crate) step_sigma: (f64, f64),
     /// The same, at most: where returns tell little, the motion lately says nothing about what it may be.
     pub(crate) most: (f64, f64),
-    /// What stuck out along a weak direction in the last sweeps.
-    pub(crate) remembered: Remembered,
+    /// What stuck out along a weak direction in the last sweeps; `None` where the cells are not made by sweeps one after the other: then all returns
+    /// are asked there.
+    pub(crate) remembered: Option<Remembered>,
     /// How sure the motion is along a direction about which the returns of the last sweeps told nothing or little.
     pub(crate) along: Option<Drift>,
     /// How far points may be off at first, metres.
@@ -401,8 +402,11 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], dense: &[Return], prio
             let drift = prior.drift(direction);
             // What errors of normals have moved along it so far does not count.
             motion = motion.as_along(&expected, direction);
-            let sticking = sticking_out(cells, dense, &motion, direction);
-            let sought = sought_along(cells, &prior.remembered, sticking, &motion, direction, drift);
+            let (sticking, remembered) = match &prior.remembered {
+                Some(remembered) => (sticking_out(cells, dense, &motion, direction), remembered),
+                None => (dense.to_vec(), &Remembered::default()),
+            };
+            let sought = sought_along(cells, remembered, sticking, &motion, direction, drift);
             expected = expected.shifted(direction, sought.shift);
             motion = motion.shifted(direction, sought.shift);
             weak = Some((direction, sought));

@@ -8,7 +8,6 @@ use crate::cells::{Cells, Seen, elevation_bit};
 use crate::motion::Motion;
 use crate::register::{COARSE, Prior, recentred, register};
 use crate::returns::Return;
-use crate::sticking::Remembered;
 use crate::tracker::{OdometryConfig, Quality};
 
 /// What the rough pose of a registration may be off, metres and radians.
@@ -99,7 +98,7 @@ impl Surfaces {
             begin: Matrix6::from_diagonal(&sigmas.map(|sigma: f64| sigma.powi(-2)).into()),
             step_sigma: LOOSE,
             most: LOOSE,
-            remembered: Remembered::default(),
+            remembered: None,
             along: None,
             reach: reach_m,
         };

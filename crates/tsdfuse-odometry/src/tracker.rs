@@ -595,7 +595,7 @@ impl Tracker {
                     begin: loose,
                     step_sigma: (0.01 + 0.1 * narrower, 0.002 + 0.02 * narrower),
                     most: (0.05, 0.02),
-                    remembered: remembered.clone(),
+                    remembered: Some(remembered.clone()),
                     along: Some(Drift::new(0.0, MOST_VELOCITY).anew().at_end()),
                     reach: if turn == 0 { 2.0 } else { 0.3 },
                 },
@@ -643,7 +643,7 @@ impl Tracker {
                     (2.0 * last.innovation.1).clamp(0.1 * own.1, most.1),
                 ),
                 most,
-                remembered: self.remembered.clone(),
+                remembered: Some(self.remembered.clone()),
                 along: last.along.map(|drift| drift.next(gap / secs.max(0.01), 2.0 * own.0)),
                 reach: (4.0 * last.innovation.0 + 20.0 * last.innovation.1).clamp(0.05, 1.0),
             }
