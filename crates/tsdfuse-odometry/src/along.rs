@@ -1,30 +1,53 @@
 //! Where a sweep is along a direction about which most of its returns tell nothing, as in a tunnel.
 //!
-//! Thousands of walls' normals, each a little wrong, would hold the sensor where it is. So only the few returns are asked that do tell: each
-//! says how far it lies, along the direction, from a plane that faces it. The shift that most of them agree on is taken, and a Kalman filter of
-//! position and velocity along the direction bridges the scans that tell nothing.
+//! Thousands of walls' normals, each a little wrong, would hold the sensor where it is. So only the few returns are asked that stick out of the walls:
+//! each says how far it lies, along the direction, from planes that face it, and from what stuck out in the last sweeps. The shift is taken that
+//! explains them best, if it does so clearly better than any other one, and a Kalman filter of position and velocity along the direction bridges the
+//! sweeps that tell nothing.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use crate::cells::{Cells, Plane};
 use crate::motion::Motion;
-use crate::returns::{GRAIN, KERNEL, Return, kernel};
+use crate::returns::{KERNEL, Return, kernel};
+use crate::sticking::{LEAST_SHARE, Remembered};
 
 /// A direction is weak if the returns tell this many times less about it than about the next one, information.
 const WEAK: f64 = 0.05;
 
-/// Planes whose normals have less than this share along a weak direction tell nothing about it but their own error.
-const LEAST_SHARE: f64 = 0.3;
+/// Error of the shift that a return tells, metres: of its range, and of what it is compared with.
+const VOTE_M: f64 = 0.03;
 
-/// Returns of planes that agree on a shift, beyond those that agree by chance, at least.
-const LEAST_VOTES: f64 = 2.5;
+/// Error that all of a sweep's returns share, metres: what they are compared with was placed with the same error.
+const SHARED_M: f64 = 0.03;
 
-/// The same where a single scan is in the cells, which has few planes that face a direction, and some that only seem to.
-const LEAST_FIRST_VOTES: f64 = 30.0;
+/// Votes for any shift by chance, of a return.
+const CHANCE: f64 = 0.2;
 
-/// Error of planes that were made of few returns while the motion was not known well, metres.
-const OWN_ERROR_M: f64 = 0.03;
+/// The share of returns that count: neighbours see the same thing.
+const INDEPENDENT: f64 = 0.5;
+
+/// Each remembered sweep counts as one of so many: what sticks out is seen for some sweeps only.
+const SEEN_SWEEPS: usize = 5;
+
+/// Shifts that are farther from each other exclude each other, metres.
+const RIVAL_M: f64 = 0.15;
+
+/// How much likelier than all others a shift must be, natural logarithm.
+const LEAST_MARGIN: f64 = 3.0;
+
+/// How far shifts are looked for: at least and at most, metres.
+const REACH_M: (f64, f64) = (0.3, 3.0);
+
+/// The motion before is not trusted more than this, metres: standard deviation.
+const LEAST_SIGMA_M: f64 = 0.1;
+
+/// How far a sensor may move in a sweep when nothing is known of its velocity, metres: standard deviation.
+pub(crate) const MOST_VELOCITY: f64 = 1.0;
+
+/// If its velocity is known worse, metres a sweep, sweeps whose place is not told lie too far from each other to be compared with together.
+const LEAST_KNOWN: f64 = 0.3;
 
 /// Steps of the shifts that are looked at, metres.
 const STEP: f64 = 0.01;
@@ -80,6 +103,16 @@ impl Drift {
         }
     }
 
+    /// Positions count from the middle of this sweep on.
+    pub(crate) fn anew(&self) -> Self {
+        let velocity = self.velocity.min(MOST_VELOCITY * MOST_VELOCITY);
+        Self {
+            position: 0.25 * velocity,
+            mixed: -0.5 * velocity,
+            velocity,
+        }
+    }
+
     /// At the end of the sweep.
     pub(crate) fn at_end(&self) -> Self {
         self.after(1.0)
@@ -113,14 +146,26 @@ impl Drift {
 }
 
 /// What was found out about where a sweep is along a direction.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Sought {
     /// The shifts at the begin and at the end of the sweep that suit the returns best.
     pub(crate) shift: [f64; 2],
-    /// What the returns told.
+    /// What the returns told; 0 if they do not tell.
     pub(crate) information: f64,
     /// How sure the motion is then.
     pub(crate) drift: Drift,
+    /// The returns that were asked.
+    pub(crate) sticking: Vec<Return>,
+}
+
+impl Sought {
+    /// Remembers a sweep that was placed.
+    pub(crate) fn remember(&self, remembered: &mut Remembered, motion: &Motion) {
+        if self.information == 0.0 && self.drift.velocity > LEAST_KNOWN * LEAST_KNOWN {
+            remembered.forget();
+        }
+        remembered.add(&self.sticking, motion);
+    }
 }
 
 /// How far the sweep is off along a direction at a share of it, metres.
@@ -131,111 +176,160 @@ struct Vote {
     share: f64,
 }
 
-/// Where along a direction most returns that tell something about it put a sweep; `is_followed` says whether more than one scan is in the
-/// cells.
+/// Where along a direction the returns put a sweep that stick out.
 pub(crate) fn sought_along(
     cells: &Cells,
-    returns: &[Return],
+    remembered: &Remembered,
+    sticking: Vec<Return>,
     motion: &Motion,
     direction: DVec3,
     mut drift: Drift,
-    is_followed: bool,
 ) -> Sought {
     let sigma = drift.after(0.5).position.sqrt();
-    match voted(cells, returns, motion, direction, sigma, is_followed) {
+    match voted(cells, remembered, &sticking, motion, direction, sigma) {
         Some(vote) => {
-            let [position, velocity] = drift.update(vote.share, vote.shift, vote.sigma.powi(2) + OWN_ERROR_M.powi(2));
+            let variance = vote.sigma.powi(2) + SHARED_M.powi(2);
+            let [position, velocity] = drift.update(vote.share, vote.shift, variance);
             Sought {
                 shift: [position, position + velocity],
-                information: vote.sigma.powi(-2),
+                information: variance.recip(),
                 drift,
+                sticking,
             }
         }
         None => Sought {
             shift: [0.0; 2],
             information: 0.0,
-            drift,
+            drift: drift.anew(),
+            sticking,
         },
     }
 }
 
-/// The shift that most returns agree on. `sigma` is how far the motion may be off.
+/// What a return that sticks out says.
+struct Told {
+    /// How far planes lie from it that face the direction, metres, and the standard deviation of that.
+    planes: Vec<(f64, f64)>,
+    /// How far remembered marks lie from it, by their number, metres.
+    marks: Vec<(usize, f64)>,
+}
+
+/// How likely each shift up to a reach is, as a natural logarithm.
+struct Likely {
+    steps: i32,
+    sums: Vec<f64>,
+    votes: Vec<f64>,
+}
+
+impl Likely {
+    fn new(reach: f64) -> Self {
+        let steps = (reach / STEP) as i32;
+        let size = 2 * steps as usize + 1;
+        Self {
+            steps,
+            sums: vec![0.0; size],
+            votes: vec![0.0; size],
+        }
+    }
+
+    fn shift(&self, at: usize) -> f64 {
+        STEP * (at as f64 - f64::from(self.steps))
+    }
+
+    /// Takes in a return for which some shifts (with standard deviation and weight) speak; `share` is how much it counts.
+    fn add(&mut self, shifts: impl Iterator<Item = (f64, f64, f64)>, share: f64) {
+        self.votes.fill(CHANCE);
+        for (shift, sigma, weight) in shifts {
+            let [from, to] = [-3.0, 3.0].map(|k| ((shift + k * sigma) / STEP).round() as i32 + self.steps);
+            for at in from.max(0)..=to.min(2 * self.steps) {
+                let off = STEP * f64::from(at - self.steps) - shift;
+                self.votes[at as usize] += weight * (-0.5 * (off / sigma).powi(2)).exp();
+            }
+        }
+        let mean = self.votes.iter().sum::<f64>() / self.votes.len() as f64;
+        let sums = self.sums.iter_mut().zip(&self.votes);
+        sums.for_each(|(sum, votes)| *sum += share * INDEPENDENT * (votes / mean).ln());
+    }
+
+    /// The shift that is clearly likelier than all others, `sigma` being how far the motion may be off.
+    fn best(&self, sigma: f64) -> Option<f64> {
+        let of = |at: usize| self.sums[at] - 0.5 * (self.shift(at) / sigma.max(LEAST_SIGMA_M)).powi(2);
+        let best = (0..self.sums.len()).max_by(|&a, &b| of(a).total_cmp(&of(b)))?;
+        let others = (0..self.sums.len()).filter(|&at| (self.shift(at) - self.shift(best)).abs() > RIVAL_M);
+        let rival = others.map(of).fold(f64::NEG_INFINITY, f64::max);
+        (of(best) - rival > LEAST_MARGIN).then(|| self.shift(best))
+    }
+}
+
+/// The shift that explains what sticks out. `sigma` is how far the motion may be off.
 fn voted(
     cells: &Cells,
-    returns: &[Return],
+    remembered: &Remembered,
+    sticking: &[Return],
     motion: &Motion,
     direction: DVec3,
     sigma: f64,
-    is_followed: bool,
 ) -> Option<Vote> {
-    let steps = ((3.0 * sigma).clamp(0.3, 2.0) / STEP) as i32;
+    let (least, most) = REACH_M;
+    let reach = (3.0 * sigma).clamp(least, most);
     let placer = motion.placer();
-    let parts = returns.par_chunks(GRAIN).map(|part| {
-        let mut votes = Vec::new();
-        for r in part {
-            votes_of(
-                cells,
-                placer.place(r.point, r.share),
-                r.share,
-                direction,
-                steps,
-                &mut votes,
-            );
+    let marks = remembered.along(direction);
+    let told = sticking.par_iter().with_min_len(8).map(|r| {
+        let x = placer.place(r.point, r.share);
+        Told {
+            planes: facing(cells, x, direction, reach),
+            marks: marks.beside(x, r, reach),
         }
-        votes
     });
-    let votes = parts.collect::<Vec<_>>().concat();
-    let shifts = (-steps..=steps).map(|step| STEP * f64::from(step));
-    let supports: Vec<(f64, f64)> = shifts.map(|shift| (shift, support(&votes, shift))).collect();
-    let usual = median(supports.iter().map(|(_, support)| *support).collect());
-    let likely = |(shift, support): &(f64, f64)| 0.5 * support - 0.5 * (shift / sigma).powi(2);
-    let &(best, most) = supports.iter().max_by(|a, b| likely(a).total_cmp(&likely(b)))?;
-    let least = if is_followed { LEAST_VOTES } else { LEAST_FIRST_VOTES };
-    if most - usual < least || most < 2.0 * usual {
-        return None;
+    let told: Vec<Told> = told.collect();
+    // What this sweep sees must have been there before, and what was there before must be seen: each counts a half.
+    let weight = 1.0 / remembered.sweeps().clamp(1, SEEN_SWEEPS) as f64;
+    let mut likely = Likely::new(reach);
+    let mut seen: Vec<Vec<f64>> = vec![Vec::new(); marks.len()];
+    for Told { planes, marks } in &told {
+        let planes = planes.iter().map(|&(shift, sigma)| (shift, sigma, VOTE_M / sigma));
+        likely.add(
+            planes.chain(marks.iter().map(|&(_, shift)| (shift, VOTE_M, weight))),
+            0.5,
+        );
+        marks.iter().for_each(|&(mark, shift)| seen[mark].push(shift));
     }
-    let (mut weights, mut shift, mut share) = (0.0, 0.0, 0.0);
-    for vote in votes.iter().filter(|vote| (vote.shift - best).abs() < 2.5 * vote.sigma) {
-        let weight = vote.sigma.powi(-2);
+    for shifts in seen.iter().filter(|shifts| !shifts.is_empty()) {
+        likely.add(shifts.iter().map(|&shift| (shift, VOTE_M, 1.0)), 0.5 * weight);
+    }
+    let best = likely.best(sigma)?;
+    let (mut weights, mut shift, mut share, mut returns) = (0.0, 0.0, 0.0, 0.0);
+    for (r, Told { planes, marks }) in sticking.iter().zip(&told) {
+        let votes = planes
+            .iter()
+            .copied()
+            .chain(marks.iter().map(|&(_, shift)| (shift, VOTE_M)));
+        let near = votes.filter(|(shift, sigma)| (shift - best).abs() < 2.5 * sigma);
+        let own: Vec<(f64, f64)> = near.map(|(shift, sigma)| (shift, sigma.powi(-2))).collect();
+        let weight: f64 = own.iter().map(|(_, weight)| weight).sum();
         weights += weight;
-        shift += weight * vote.shift;
-        share += weight * vote.share;
+        shift += own.iter().map(|(shift, weight)| shift * weight).sum::<f64>();
+        share += weight * f64::from(r.share);
+        returns += f64::from(u8::from(!own.is_empty()));
     }
-    Some(Vote {
+    (returns > 0.0).then(|| Vote {
         shift: shift / weights,
-        sigma: weights.powf(-0.5),
+        sigma: VOTE_M / returns.sqrt(),
         share: share / weights,
     })
 }
 
-/// What the planes say that face the direction and lie along it from a return.
-fn votes_of(cells: &Cells, x: DVec3, share: f32, direction: DVec3, steps: i32, votes: &mut Vec<Vote>) {
-    let reach = STEP * f64::from(steps);
-    let first = votes.len();
+/// How far planes lie from a point that face the direction, along it, and the standard deviation of that, metres.
+fn facing(cells: &Cells, x: DVec3, direction: DVec3, reach: f64) -> Vec<(f64, f64)> {
+    let mut found: Vec<(f64, f64)> = Vec::new();
     cells.planes_along(x, direction, reach, |plane| {
         let shift = plane.distance_along(x, direction);
         let there = x + direction * shift;
-        let is_known = || votes[first..].iter().any(|vote| (vote.shift - shift).abs() < 1e-9);
+        let is_known = || found.iter().any(|(known, _)| (known - shift).abs() < 1e-9);
         if shift.abs() <= reach && plane.faces(direction, LEAST_SHARE) && plane.reaches(there) && !is_known() {
             let (_, variance) = plane.residual(there);
-            votes.push(Vote {
-                shift,
-                sigma: variance.sqrt() / plane.normal.dot(direction).abs(),
-                share: f64::from(share),
-            });
+            found.push((shift, variance.sqrt().max(VOTE_M) / plane.normal.dot(direction).abs()));
         }
     });
-}
-
-/// How many votes of planes agree on a shift.
-fn support(votes: &[Vote], shift: f64) -> f64 {
-    votes
-        .iter()
-        .map(|vote| (-0.5 * ((vote.shift - shift) / vote.sigma).powi(2)).exp())
-        .sum()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+    found
 }

@@ -138,6 +138,11 @@ impl Plane {
         self.normal.dot(self.mean - p) / self.normal.dot(direction)
     }
 
+    /// How far along a direction the middle of the plane's points lies from a point, metres.
+    pub(crate) fn ahead(&self, p: DVec3, direction: DVec3) -> f64 {
+        direction.dot(self.mean - p)
+    }
+
     /// Whether a point of the plane lies among the points that it was made of.
     pub(crate) fn reaches(&self, p: DVec3) -> bool {
         self.along.iter().all(|along| along.dot(p - self.mean).abs() < 2.5)

@@ -11,6 +11,7 @@ mod refiner;
 mod register;
 mod returns;
 mod sample;
+mod sticking;
 mod surfaces;
 mod systematic;
 mod tracker;

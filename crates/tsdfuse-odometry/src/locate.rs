@@ -158,7 +158,7 @@ fn placed_at(cells: &Cells, sparse: &[Return], dense: &[Return], motion: &Motion
         begin: Matrix6::from_diagonal(&[1.0, 1.0, 1.0, 10.0, 10.0, 10.0].into()),
         step_sigma: (0.02, 0.005),
         most: (0.02, 0.005),
-        is_followed: true,
+        remembered: None,
         along: None,
         reach: 1.5,
     };

@@ -205,7 +205,7 @@ impl Refiner {
                 begin: Matrix6::from_diagonal(&sigmas.map(|sigma: f64| sigma.powi(-2)).into()),
                 step_sigma: GIVEN_STEP,
                 most: GIVEN_STEP,
-                is_followed: true,
+                remembered: None,
                 along: None,
                 reach: self.reach_m,
             };

@@ -14,6 +14,7 @@ use crate::along::{Drift, Sought, sought_along, weak_direction};
 use crate::cells::{Cells, Found};
 use crate::motion::{Motion, Twist, turn_of};
 use crate::returns::{GRAIN, KERNEL, Return, kernel};
+use crate::sticking::{Remembered, sticking_out};
 
 /// Moments of a sweep whose poses are sought.
 pub(crate) const KNOTS: usize = 3;
@@ -40,8 +41,9 @@ pub(crate) struct Prior {
     pub(crate) step_sigma: (f64, f64),
     /// The same, at most: where returns tell little, the motion lately says nothing about what it may be.
     pub(crate) most: (f64, f64),
-    /// Whether more than one scan is in the cells.
-    pub(crate) is_followed: bool,
+    /// What stuck out along a weak direction in the last sweeps; `None` where the cells are not made by sweeps one after the other: then all returns
+    /// are asked there.
+    pub(crate) remembered: Option<Remembered>,
     /// How sure the motion is along a direction about which the returns of the last sweeps told nothing or little.
     pub(crate) along: Option<Drift>,
     /// How far points may be off at first, metres.
@@ -70,8 +72,8 @@ pub(crate) struct Registered {
     pub(crate) end: Matrix6<f64>,
     /// Information of the returns alone about a rigid motion of the sweep, about `centre`.
     pub(crate) rigid: Matrix6<f64>,
-    /// How sure the motion is at the end of the sweep along a direction about which most returns tell nothing, if there is one.
-    pub(crate) along: Option<Drift>,
+    /// What was found out along a direction about which most returns tell nothing, if there is one.
+    pub(crate) along: Option<Sought>,
     /// Share of returns that lie in cells with a plane.
     pub(crate) covered: f64,
     /// Share of returns that lie on their plane as well as noise allows.
@@ -387,7 +389,7 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], dense: &[Return], prio
                 motion,
                 end: to_last.transpose() * end * to_last,
                 rigid,
-                along: weak.map(|(_, sought)| sought.drift.at_end()),
+                along: weak.map(|(_, sought)| sought),
                 covered: normal.covered as f64 / n,
                 matched: normal.matched as f64 / n,
                 rms: (normal.squares / normal.matched.max(1) as f64).sqrt(),
@@ -400,7 +402,11 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], dense: &[Return], prio
             let drift = prior.drift(direction);
             // What errors of normals have moved along it so far does not count.
             motion = motion.as_along(&expected, direction);
-            let sought = sought_along(cells, dense, &motion, direction, drift, prior.is_followed);
+            let (sticking, remembered) = match &prior.remembered {
+                Some(remembered) => (sticking_out(cells, dense, &motion, direction), remembered),
+                None => (dense.to_vec(), &Remembered::default()),
+            };
+            let sought = sought_along(cells, remembered, sticking, &motion, direction, drift);
             expected = expected.shifted(direction, sought.shift);
             motion = motion.shifted(direction, sought.shift);
             weak = Some((direction, sought));

@@ -98,7 +98,7 @@ impl Surfaces {
             begin: Matrix6::from_diagonal(&sigmas.map(|sigma: f64| sigma.powi(-2)).into()),
             step_sigma: LOOSE,
             most: LOOSE,
-            is_followed: true,
+            remembered: None,
             along: None,
             reach: reach_m,
         };

@@ -8,13 +8,14 @@ use serde::{Deserialize, Serialize};
 use tsdfuse::trajectory::secs_between;
 use tsdfuse::{ImuSample, Pose, Scan};
 
-use crate::along::Drift;
+use crate::along::{Drift, MOST_VELOCITY, weak_direction};
 use crate::cells::{Cells, Seen};
 use crate::imu::{End, ImuReport, Inertial, PredictedBy, Prediction, Velocity};
 use crate::locate::{Search, locate};
 use crate::motion::{Motion, STEPS, ahead, repeated, turn_of};
 use crate::register::{Prior, Registered, register};
 use crate::sample::{Sampled, Sampling};
+use crate::sticking::{Remembered, sticking_out};
 use crate::systematic::Calibrate;
 
 /// A scan with fewer returns, evenly spread, is not placed by them.
@@ -22,9 +23,6 @@ pub(crate) const LEAST_RETURNS: usize = 50;
 
 /// A cell takes no more points than this: what was seen first, with the least drift, stays.
 const MOST_POINTS: f64 = 4000.0;
-
-/// How far a sensor may move in its first sweep along a direction that its returns do not tell, metres.
-const FIRST_VELOCITY: f64 = 1.0;
 
 /// Errors of accelerations and of changes of the rate of turn that are predicted from an inertial measurement unit, m/s² and rad/s².
 const IMU_SIGMAS: (f64, f64) = (1.0, 0.3);
@@ -194,6 +192,7 @@ struct Begun {
     motion: Motion,
     /// What it saw.
     cells: Cells,
+    remembered: Remembered,
     second: Registered,
     /// Sensor at the end of a second from sensor at its begin.
     velocity: Pose,
@@ -235,6 +234,7 @@ pub struct Tracker {
     config: OdometryConfig,
     sampling: Sampling,
     cells: Cells,
+    remembered: Remembered,
     imu: Inertial,
     /// The world that scans come out in, from the one that they are tracked in; `None` until gravity is known.
     levelled: Option<DQuat>,
@@ -260,6 +260,7 @@ impl Tracker {
             config,
             sampling: Sampling::new(config.returns),
             cells: Cells::new(config.cell_m, config.noise_m, MOST_POINTS),
+            remembered: Remembered::default(),
             imu: Inertial::new(),
             levelled: None,
             elsewhere: None,
@@ -459,6 +460,7 @@ impl Tracker {
             self.pieces -= 1;
         }
         (self.cells, self.piece) = (elsewhere.cells, elsewhere.piece);
+        self.remembered.forget();
         self.imu.turn_world(by.rotation);
     }
 
@@ -494,6 +496,7 @@ impl Tracker {
         let Begun {
             motion,
             cells,
+            remembered,
             second: registered,
             velocity,
         } = match self.turning(&first, &second, &steady) {
@@ -501,9 +504,9 @@ impl Tracker {
             None => steady,
         };
         let quality = Quality::of(&registered);
-        let (end, is_weak) = (registered.end, registered.along.is_some());
+        let (end, along) = (registered.end, registered.along);
         let mut motions = (motion, registered.motion);
-        self.cells = cells;
+        (self.cells, self.remembered) = (cells, remembered);
         if self.elsewhere.is_some() {
             match self.look(&second.1, &motions.1) {
                 Some(by) => {
@@ -522,13 +525,17 @@ impl Tracker {
         self.here = motions.0.last().translation;
         self.place(first.0, &motions.0, first.1.span, Quality::default());
         self.see(&second.1, &motions.1);
+        let along = along.map(|along| {
+            along.remember(&mut self.remembered, &motions.1);
+            along.drift.at_end()
+        });
         self.last = Some(Last {
             end: end_secs(&second.0, &second.1),
             motion: motions.1.clone(),
             information: end,
             velocity,
             world_velocity: motions.1.last().rotation * ahead(&velocity),
-            along: is_weak.then(|| Drift::new(0.01, FIRST_VELOCITY)),
+            along,
             innovation: (0.05, 0.01),
         });
         self.place(second.0, &motions.1, second.1.span, quality);
@@ -574,6 +581,10 @@ impl Tracker {
             cells.add(&first.1.seen(&motion), self.driven);
             // A car's speed, and a fast turn.
             let loose = Matrix6::from_diagonal(&[1.0, 1.0, 1.0, 10.0, 10.0, 10.0].into());
+            let mut remembered = Remembered::default();
+            if let Some(direction) = weak_direction(&cells, &first.1.sparse, &motion) {
+                remembered.add(&sticking_out(&cells, &first.1.dense, &motion, direction), &motion);
+            }
             let narrower = 0.5_f64.powi(turn);
             let registered = register(
                 &cells,
@@ -584,14 +595,15 @@ impl Tracker {
                     begin: loose,
                     step_sigma: (0.01 + 0.1 * narrower, 0.002 + 0.02 * narrower),
                     most: (0.05, 0.02),
-                    is_followed: false,
-                    along: None,
+                    remembered: Some(remembered.clone()),
+                    along: Some(Drift::new(0.0, MOST_VELOCITY).anew().at_end()),
                     reach: if turn == 0 { 2.0 } else { 0.3 },
                 },
             );
             Begun {
                 motion,
                 cells,
+                remembered,
                 velocity: repeated(&(self.start.inverse() * registered.motion.first()), 1.0 / gap),
                 second: registered,
             }
@@ -631,7 +643,7 @@ impl Tracker {
                     (2.0 * last.innovation.1).clamp(0.1 * own.1, most.1),
                 ),
                 most,
-                is_followed: true,
+                remembered: Some(self.remembered.clone()),
                 along: last.along.map(|drift| drift.next(gap / secs.max(0.01), 2.0 * own.0)),
                 reach: (4.0 * last.innovation.0 + 20.0 * last.innovation.1).clamp(0.05, 1.0),
             }
@@ -710,12 +722,17 @@ impl Tracker {
         {
             self.elsewhere = None;
         }
+        let quality = Quality::of(&registered);
         self.see(sampled, &motion);
+        let along = registered.along.map(|along| {
+            along.remember(&mut self.remembered, &motion);
+            along.drift.at_end()
+        });
         self.last = Some(Last {
             end: end.secs,
             world_velocity,
             information: registered.end,
-            along: registered.along,
+            along,
             velocity,
             innovation: (
                 calm(last.innovation.0, innovation.0),
@@ -723,7 +740,6 @@ impl Tracker {
             ),
             motion: motion.clone(),
         });
-        let quality = Quality::of(&registered);
         self.place(scan, &motion, sampled.span, quality);
     }
 

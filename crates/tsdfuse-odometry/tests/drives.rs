@@ -158,6 +158,86 @@ fn an_endless_plain_is_not_pretended_to_be_known() {
     );
 }
 
+/// Where a sensor is in a tunnel along x, metres: after half a second it drives off.
+fn driven(secs: f64) -> f64 {
+    1.6 * (secs - 0.5).max(0.0).powi(2)
+}
+
+/// Sweeps of 64 beams in a tunnel, a round vault over a flat floor, in which boxes stand at its side.
+fn tunnel(sweeps: usize, boxes: &[f64]) -> Vec<Scan> {
+    let mut state = 1_u32;
+    let mut noise = || {
+        let mut uniform = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(state >> 8) / f64::from(1 << 24) - 0.5
+        };
+        0.02 * (0..12).map(|_| uniform()).sum::<f64>()
+    };
+    let range = |from: DVec3, ray: DVec3| {
+        let (across, centre) = (DVec3::new(0.0, ray.y, ray.z), DVec3::new(0.0, from.y, from.z - 1.2));
+        let (a, b, c) = (across.dot(across), across.dot(centre), centre.dot(centre) - 5.2 * 5.2);
+        let vault = (-b + (b * b - a * c).sqrt()) / a;
+        let floor = if ray.z < 0.0 { -from.z / ray.z } else { f64::INFINITY };
+        let of_box = |x: &f64| {
+            let (low, high) = (DVec3::new(x - 0.4, 4.5, 0.0), DVec3::new(x + 0.4, 5.5, 1.8));
+            let (s, t) = ((low - from) / ray, (high - from) / ray);
+            let (near, far) = (s.min(t).max_element(), s.max(t).min_element());
+            if near < far && near > 0.0 { near } else { f64::INFINITY }
+        };
+        boxes.iter().map(of_box).fold(vault.min(floor), f64::min)
+    };
+    let mut sweep = |k: usize| {
+        let (mut points, mut times) = (Vec::new(), Vec::new());
+        for column in 0..1024 {
+            let secs = 0.1 * f64::from(column) / 1024.0;
+            let azimuth = -std::f64::consts::TAU * f64::from(column) / 1024.0;
+            let from = DVec3::new(driven(0.1 * k as f64 + secs), 0.0, 1.9);
+            for beam in 0..64 {
+                let elevation = (f64::from(beam) - 31.5) * 0.0125;
+                let ray = DVec3::new(
+                    azimuth.cos() * elevation.cos(),
+                    azimuth.sin() * elevation.cos(),
+                    elevation.sin(),
+                );
+                let metres = range(from, ray);
+                if metres < 120.0 {
+                    points.push((ray * (metres + noise())).as_vec3());
+                    times.push(secs as f32);
+                }
+            }
+        }
+        Scan {
+            name: k.to_string(),
+            time_ns: Some(k as i64 * 100_000_000),
+            points,
+            times: Some(times),
+            ..Scan::default()
+        }
+    };
+    (0..sweeps).map(&mut sweep).collect()
+}
+
+#[test]
+fn a_tunnel_is_driven_as_far_as_what_sticks_out_of_it_tells() {
+    let all = tracked(&tunnel(34, &[26.0, 47.0]));
+    let at = |k: usize| all[k].scan.pose.unwrap().translation.x;
+    let is_told = |k: &usize| !all[*k].quality.is_undetermined();
+    let told = (1..all.len()).filter(is_told).count();
+    assert!(told > 24, "{told}");
+    let off = |k: usize| at(k) - driven(0.1 * k as f64);
+    for k in (2..all.len()).filter(|k| is_told(k) && is_told(&(k - 1))) {
+        assert!((off(k) - off(k - 1)).abs() < 0.1, "{k}: {} {}", off(k - 1), off(k));
+    }
+    assert!(off(33).abs() < 0.2, "{}", off(33));
+}
+
+#[test]
+fn a_tunnel_without_anything_in_it_is_not_pretended_to_be_known() {
+    let all = tracked(&tunnel(14, &[]));
+    let told = all[1..].iter().filter(|t| !t.quality.is_undetermined()).count();
+    assert_eq!(told, 0);
+}
+
 /// A pose that is off by some 3 cm along each axis and 0.15° about each.
 fn rough(pose: Pose, seed: usize) -> Pose {
     let noise = |k: usize| 2.0 * (((seed * 6 + k) * 7919 + 13) as f64 * 0.754_877_666).fract() - 1.0;
