@@ -5,8 +5,8 @@
 //! minimum where the correction is right. (The share of returns that match has no such maximum: where scans disagree, more is tolerated.)
 
 use glam::{DQuat, DVec3, EulerRot};
-use tsdfuse::{Pose, Scan};
 use tsdfuse::sensor::SensorCorrection;
+use tsdfuse::{Pose, Scan};
 
 use crate::refiner::Refiner;
 use crate::tracker::OdometryConfig;
