@@ -3,8 +3,8 @@
 use crate::constants::CONSTANTS;
 use crate::frame::Frame;
 use crate::shader::{
-    AGREEMENT, ANGLES, CARVE, CYLINDER, CYLINDRICAL, DEPTH, EUCLIDEAN, FRAME, HELD, IMAGE, LINES, NORMALS, ONE_LINE,
-    PATCH, PHASES, PIXELS, PLANES,
+    AGREEMENT, ANGLES, CARVE, CYLINDER, CYLINDRICAL, DEPTH, EUCLIDEAN, FRAME, IMAGE, LINES, NORMALS, ONE_LINE, PATCH,
+    PHASES, PIXELS, PLANES,
 };
 
 /// A kernel, and how many of its workgroups run.
@@ -135,11 +135,7 @@ impl Kernels {
         }
         before.push(step("find_planes", Work::Cells));
         if carves && agreement {
-            before.extend([
-                step("sample_offsets", Work::Scan),
-                step("choose_agreement", Work::Once),
-                step("find_held", Work::Cells),
-            ]);
+            before.extend([step("sample_offsets", Work::Scan), step("choose_agreement", Work::Once)]);
         }
         Self {
             before,
@@ -147,7 +143,7 @@ impl Kernels {
             ..Self::lines(
                 3,
                 &[
-                    &CONSTANTS, ANGLES, PHASES, IMAGE, PLANES, AGREEMENT, CYLINDER, PATCH, HELD, CARVE,
+                    &CONSTANTS, ANGLES, PHASES, IMAGE, PLANES, AGREEMENT, CYLINDER, PATCH, CARVE,
                 ],
             )
         }

@@ -9,42 +9,16 @@ fn fuse_return(i: u32, thread: u32) -> u32 {
         return fuse_ray(i);
     } else if thread == 0u {
         return fuse_patch(patches[cell]);
-    } else if cell != NONE && (patches[cell].held & thread) == 0u {
-        let l = link_from(cell, thread);
-        for (var k = 1.0; k < l.steps; k += 1.0) {
-            fuse_patch(on_the_way(l, k));
+    } else if cell != NONE {
+        let ring = cell / frame.columns;
+        let column = cell % frame.columns;
+        if thread == 2u {
+            connect(patches[cell], next_in_row(ring, column), MAX_GAP_ACROSS_M);
+        } else if column % nth(frame.step_m / (frame.column_rad * length(patches[cell].center))) == 0u {
+            connect(patches[cell], next_in_column(ring, column), 1e30);
         }
     }
     return NO_RETURN;
-}
-
-// The surface between two neighbours: how many steps it is long, none if they do not lie on the same one.
-struct Link {
-    a: Patch,
-    b: Patch,
-    kind: u32,
-    steps: f32,
-}
-
-// The link of a cell to the next ring (1) or to the next column (2).
-fn link_from(cell: u32, towards: u32) -> Link {
-    let ring = cell / frame.columns;
-    let column = cell % frame.columns;
-    let a = patches[cell];
-    if towards == 2u {
-        return linked(a, next_in_row(ring, column), MAX_GAP_ACROSS_M);
-    } else if column % nth(frame.step_m / (frame.column_rad * length(a.center))) == 0u {
-        return linked(a, next_in_column(ring, column), 1e30);
-    }
-    return Link(a, a, NOWHERE, 0.0);
-}
-
-// A patch of a link.
-fn on_the_way(l: Link, k: f32) -> Patch {
-    let t = k / l.steps;
-    let center = l.a.center + (l.b.center - l.a.center) * t;
-    let normal = select(l.a.normal + (l.b.normal - l.a.normal) * t, -center, l.kind == RAY);
-    return Patch(center, l.kind, normal / max(length(normal), 1e-30), 0u);
 }
 
 // The neighbours of a cell: nothing, if there is no return near enough.
@@ -55,7 +29,7 @@ fn next_in_row(ring: u32, column: u32) -> Patch {
             return near;
         }
     }
-    return Patch(vec3(0.0), NOWHERE, vec3(0.0), 0u);
+    return Patch(vec3(0.0), NOWHERE, vec3(0.0));
 }
 
 fn next_in_column(ring: u32, column: u32) -> Patch {
@@ -65,7 +39,7 @@ fn next_in_column(ring: u32, column: u32) -> Patch {
             return near;
         }
     }
-    return Patch(vec3(0.0), NOWHERE, vec3(0.0), 0u);
+    return Patch(vec3(0.0), NOWHERE, vec3(0.0));
 }
 
 // How far in front of it a patch is fused, in voxels.
@@ -79,26 +53,17 @@ fn fuse_patch(surface: Patch) -> u32 {
         return OUTSIDE_GRID;
     }
     let range_m = max(length(surface.center), 1e-30);
-    let cosine = cosine_of(surface, range_m);
+    let cosine = max(-dot(surface.center, surface.normal) / range_m, 0.0);
+    let known = select(RAY_WEIGHT, 1.0, is_plane(surface));
     let sigma = sigma_vox(arm_m(surface));
     // Those of one scan that meet in one voxel are off together.
     let crowd = max(frame.crowd * cosine / (range_m * range_m), 1.0);
     let off = sigma * (1.0 / HALVING);
     let share = 1.0 / (1.0 + crowd * off * off);
-    var l = line(center, surface.normal, share * weight_of(surface));
+    var l = line(center, surface.normal, share * known * cosine * min(1.0 / range_m, 1.0));
     l.reach = clamp(SIGMAS * sigma, front(), frame.truncation_vox);
     walk(l);
     return FUSED;
-}
-
-fn cosine_of(surface: Patch, range_m: f32) -> f32 {
-    return max(-dot(surface.center, surface.normal) / range_m, 0.0);
-}
-
-// The weight of a patch's updates, where scans agree.
-fn weight_of(surface: Patch) -> f32 {
-    let range_m = max(length(surface.center), 1e-30);
-    return select(RAY_WEIGHT, 1.0, is_plane(surface)) * cosine_of(surface, range_m) * min(1.0 / range_m, 1.0);
 }
 
 // A return without a plane.
@@ -117,8 +82,8 @@ fn nth(dense: f32) -> u32 {
     return 1u << firstLeadingBit(max(u32(dense), 1u));
 }
 
-// The link between two neighbours, if both lie on the same surface and are no farther apart than this.
-fn linked(a: Patch, b: Patch, longest_m: f32) -> Link {
+// Fuses the surface between two neighbours, if both lie on the same one and are no farther apart than this.
+fn connect(a: Patch, b: Patch, longest_m: f32) {
     let apart = b.center - a.center;
     let gap = length(apart);
     let range = min(length(a.center), length(b.center));
@@ -140,9 +105,15 @@ fn linked(a: Patch, b: Patch, longest_m: f32) -> Link {
             && off <= COPLANAR_OFF_M && dot(a.normal, b.normal) >= COPLANAR_DOT);
     }
     if kind == NOWHERE || gap < frame.step_m || gap > min(longest_m, MAX_GAP_OF_RANGE * range) || !is_one {
-        return Link(a, b, kind, 0.0);
+        return;
     }
-    return Link(a, b, kind, ceil(gap / frame.step_m));
+    let steps = ceil(gap / frame.step_m);
+    for (var k = 1.0; k < steps; k += 1.0) {
+        let t = k / steps;
+        let center = a.center + apart * t;
+        let normal = select(a.normal + (b.normal - a.normal) * t, -center, kind == RAY);
+        fuse_patch(Patch(center, kind, normal / max(length(normal), 1e-30)));
+    }
 }
 
 // The distance divided by μ, and the weight, which falls behind the surface; a weight of 0 means no update.

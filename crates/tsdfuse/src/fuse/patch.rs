@@ -30,7 +30,7 @@ use super::{
 use crate::{
     map::{MapConfig, OutOfMemory, VoxelMap},
     memory::prefetch,
-    patch::{Held, Limits, Patches, RAY_WEIGHT, widest_gap_m},
+    patch::{Limits, Patches, widest_gap_m},
     reach::Reach,
     scan::Scan,
     sensor::{ScanImage, SensorModel},
@@ -51,6 +51,9 @@ pub const STEP: f32 = 1.5;
 
 /// For so many bytes of the map's memory limit, there may be one patch between returns, which takes a third of that with its line.
 const LIMIT_PER_PATCH: usize = 512;
+
+/// Weight where there is no plane.
+pub const RAY_WEIGHT: f32 = 0.1;
 
 /// Options of [`Patch`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -174,11 +177,8 @@ impl Integrator for Patch {
             most: map.memory_limit() / LIMIT_PER_PATCH,
         };
         let column_rad = sensor.column_width_rad() as f32;
-        // Without erasing, nothing depends on what the map holds, and maps of parts of a log can be added.
-        let looks = self.config.carve && self.config.agreement;
-        let held = looks.then_some(Held { map, anchor });
         self.patches
-            .update(image, &placed.points, &placed.origins, column_rad, &limits, held)
+            .update(image, &placed.points, &placed.origins, column_rad, &limits)
             .ok_or(OutOfMemory::Limit {
                 limit_bytes: map.memory_limit(),
             })?;
@@ -188,7 +188,8 @@ impl Integrator for Patch {
 
         let truncation = map.config().truncation_vox();
         let reach = FRONT.min(truncation);
-        let agreement = if looks {
+        // Without erasing, nothing depends on what the map holds, and maps of parts of a log can be added.
+        let agreement = if self.config.carve && self.config.agreement {
             Agreement::of(map, anchor, &patches[..returns], &mut self.places)
         } else {
             Agreement::default()
@@ -212,12 +213,16 @@ impl Integrator for Patch {
                 }
                 let range_m = patch.center.length();
                 let cosine = (-patch.center.dot(patch.normal) / range_m).max(0.0);
+                let known = if patch.is_plane() { 1.0 } else { RAY_WEIGHT };
                 let sigma = agreement.sigma_of(patch);
                 Ok(Line {
                     center: anchor.locate(patch.center).ok_or(Skip::OutsideGrid)?,
                     axis: patch.normal,
                     reach: (SIGMAS * sigma).clamp(reach, truncation),
-                    weight: share(sigma, crowd * cosine / (range_m * range_m)) * patch.weight(),
+                    weight: share(sigma, crowd * cosine / (range_m * range_m))
+                        * known
+                        * cosine
+                        * (1.0 / range_m).min(1.0),
                 })
             },
             &AlongPatch { truncation },

@@ -6,29 +6,27 @@ use super::{
     block::{Block, Voxel},
     voxel_map::VoxelMap,
 };
-use crate::index::{BlockIndex, hash, local_number};
-
-/// How many blocks are remembered.
-const BLOCKS: usize = 512;
+use crate::index::{BlockIndex, local_number};
 
 /// A map, and the blocks of it that were looked up last.
-pub(crate) struct Recent<'a> {
+pub(super) struct Recent<'a> {
     map: &'a VoxelMap,
-    blocks: Box<[(BlockIndex, Option<&'a Block>); BLOCKS]>,
+    blocks: [(BlockIndex, Option<&'a Block>); 64],
 }
 
 impl<'a> Recent<'a> {
-    pub(crate) fn new(map: &'a VoxelMap) -> Self {
+    pub(super) fn new(map: &'a VoxelMap) -> Self {
         Self {
             map,
             // No map has such a block.
-            blocks: Box::new([(BlockIndex(IVec3::MIN), None); BLOCKS]),
+            blocks: [(BlockIndex(IVec3::MIN), None); 64],
         }
     }
 
     #[inline]
-    pub(crate) fn block(&mut self, index: BlockIndex) -> Option<&'a Block> {
-        let known = &mut self.blocks[hash(index.0) as usize % BLOCKS];
+    pub(super) fn block(&mut self, index: BlockIndex) -> Option<&'a Block> {
+        let low = index.0 & 3;
+        let known = &mut self.blocks[(low.x | low.y << 2 | low.z << 4) as usize % 64];
         if known.0 != index {
             *known = (index, self.map.block(index));
         }

@@ -5,7 +5,6 @@ use rayon::prelude::*;
 
 use super::{
     ROUGHNESS_M,
-    held::{Held, Links},
     surface::{Kind, Limits, Patch},
 };
 use crate::sensor::{PART, ScanImage};
@@ -56,21 +55,19 @@ pub(super) struct Between {
 }
 
 impl Between {
-    /// Appends them, but for those that the map holds; `None` if there are too many of them, because voxels are very small.
+    /// Appends them; `None` if there are too many of them, because voxels are very small.
     pub(super) fn append_to(
         &mut self,
         all: &mut Vec<Patch>,
         image: &ScanImage,
         column_rad: f32,
         limits: &Limits,
-        held: Option<Held<'_>>,
     ) -> Option<()> {
         let count = all.len();
         self.parts.resize_with(count.div_ceil(PART), Vec::new);
         let room = (limits.most / self.parts.len().max(1)).max(ALWAYS * PART);
         self.parts.par_iter_mut().enumerate().try_for_each(|(part, between)| {
             between.clear();
-            let mut links = held.map(Links::new);
             for i in part * PART..((part + 1) * PART).min(count) {
                 let Some((ring, column)) = image.place_of(i) else {
                     continue;
@@ -91,16 +88,9 @@ impl Between {
                         if more.len() > room - between.len() {
                             return None;
                         }
-                        let length = more.len();
                         between.extend(more);
-                        if let Some(links) = &mut links {
-                            links.push(between, length);
-                        }
                     }
                 }
-            }
-            if let Some(mut links) = links {
-                links.take_out(between);
             }
             Some(())
         })?;
@@ -249,7 +239,7 @@ mod tests {
                 ..LIMITS
             };
             Between::default()
-                .append_to(&mut all, &image, wide_rad, &limits, None)
+                .append_to(&mut all, &image, wide_rad, &limits)
                 .unwrap();
             all.len() - points.len()
         };

@@ -1,7 +1,6 @@
 //! Surface patches: the plane that each return of a scan lies on, from the returns around it in the organized image.
 
 mod between;
-mod held;
 mod plane;
 mod sums;
 mod surface;
@@ -20,10 +19,7 @@ pub use between::{
     COPLANAR_DOT, COPLANAR_GAPS, COPLANAR_LENGTH_M, COPLANAR_OFF_M, FAR_M, MAX_GAP_ACROSS_M, MAX_GAP_OF_RANGE,
     MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT, widest_gap_m,
 };
-pub(crate) use held::Held;
-pub use held::{LONG, OTHER_SURFACE, SETTLED};
 pub use sums::MAX_COLUMNS;
-pub use surface::RAY_WEIGHT;
 pub(crate) use surface::{Limits, Patch};
 
 use between::Between;
@@ -95,8 +91,6 @@ impl Patches {
     /// lie in a plane, halves of it are tried, so that planes end at edges: of those that are planes the one with
     /// the smallest residual is taken.
     ///
-    /// Links between returns that the map holds (`held`) are left out.
-    ///
     /// `None` if there are too many patches between returns ([`Limits::most`]).
     pub(crate) fn update(
         &mut self,
@@ -105,7 +99,6 @@ impl Patches {
         origins: &[Vec3],
         column_rad: f32,
         limits: &Limits,
-        held: Option<Held<'_>>,
     ) -> Option<()> {
         self.sums.update(image, points);
         self.all.clear();
@@ -135,7 +128,7 @@ impl Patches {
             let planes = returns.iter().zip(patches).filter(|(_, patch)| patch.is_plane());
             planes.for_each(|(&i, &patch)| self.all[i as usize] = patch);
         }
-        self.between.append_to(&mut self.all, image, column_rad, limits, held)
+        self.between.append_to(&mut self.all, image, column_rad, limits)
     }
 }
 

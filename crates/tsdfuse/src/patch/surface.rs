@@ -24,22 +24,10 @@ pub(crate) enum Kind {
     Whole,
 }
 
-/// Weight where there is no plane.
-pub const RAY_WEIGHT: f32 = 0.1;
-
 impl Patch {
     /// Whether there is a plane.
     pub(crate) fn is_plane(&self) -> bool {
         self.kind != Kind::Ray
-    }
-
-    /// The weight of its updates, where scans agree: min(1, 1/range) times the cosine of the incidence, and less without a plane.
-    #[inline(always)]
-    pub(crate) fn weight(&self) -> f32 {
-        let range_m = self.center.length();
-        let cosine = (-self.center.dot(self.normal) / range_m).max(0.0);
-        let known = if self.is_plane() { 1.0 } else { RAY_WEIGHT };
-        known * cosine * (1.0 / range_m).min(1.0)
     }
 
     /// The arm of a turn of the sensor: how far the patch moves along its normal, at most, for each radian.
