@@ -4,7 +4,7 @@ use crate::constants::CONSTANTS;
 use crate::frame::Frame;
 use crate::shader::{
     AGREEMENT, ANGLES, CARVE, CYLINDER, CYLINDRICAL, DEPTH, EUCLIDEAN, FRAME, IMAGE, LINES, NORMALS, ONE_LINE, PATCH,
-    PHASES, PIXELS, PLANES,
+    PHASES, PIXELS, PLANES, SETTLED,
 };
 
 /// A kernel, and how many of its workgroups run.
@@ -134,16 +134,25 @@ impl Kernels {
             before.extend([step("sample_noise", Work::Scan), step("choose_noise", Work::Once)]);
         }
         before.push(step("find_planes", Work::Cells));
+        let mut after = Vec::new();
         if carves && agreement {
-            before.extend([step("sample_offsets", Work::Scan), step("choose_agreement", Work::Once)]);
+            before.extend([
+                step("sample_offsets", Work::Scan),
+                step("choose_agreement", Work::Once),
+                step("find_turns", Work::Cells),
+            ]);
+            after.push(step("mark_waiting", Work::Cells));
+        }
+        if carves {
+            after.push(step("carve", Work::Blocks));
         }
         Self {
             before,
-            after: carves.then(|| step("carve", Work::Blocks)).into_iter().collect(),
+            after,
             ..Self::lines(
                 3,
                 &[
-                    &CONSTANTS, ANGLES, PHASES, IMAGE, PLANES, AGREEMENT, CYLINDER, PATCH, CARVE,
+                    &CONSTANTS, ANGLES, PHASES, IMAGE, PLANES, AGREEMENT, CYLINDER, PATCH, SETTLED, CARVE,
                 ],
             )
         }

@@ -102,6 +102,7 @@ pub(crate) const IMAGE: &str = include_str!("shaders/image.wgsl");
 pub(crate) const PLANES: &str = include_str!("shaders/planes.wgsl");
 pub(crate) const PATCH: &str = include_str!("shaders/patch.wgsl");
 pub(crate) const AGREEMENT: &str = include_str!("shaders/agreement.wgsl");
+pub(crate) const SETTLED: &str = include_str!("shaders/settled.wgsl");
 pub(crate) const CARVE: &str = include_str!("shaders/carve.wgsl");
 
 pub(crate) const RENDER: &str = include_str!("shaders/render.wgsl");

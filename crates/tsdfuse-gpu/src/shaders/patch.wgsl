@@ -7,6 +7,8 @@ fn fuse_return(i: u32, thread: u32) -> u32 {
     let has_plane = cell != NONE && is_plane(patches[cell]);
     if thread == 0u && !has_plane {
         return fuse_ray(i);
+    } else if thread == 0u && (patches[cell].turn & WAITS) != 0u {
+        return FUSED;
     } else if thread == 0u {
         return fuse_patch(patches[cell]);
     } else if cell != NONE {
@@ -29,7 +31,7 @@ fn next_in_row(ring: u32, column: u32) -> Patch {
             return near;
         }
     }
-    return Patch(vec3(0.0), NOWHERE, vec3(0.0));
+    return Patch(vec3(0.0), NOWHERE, vec3(0.0), 1u);
 }
 
 fn next_in_column(ring: u32, column: u32) -> Patch {
@@ -39,7 +41,7 @@ fn next_in_column(ring: u32, column: u32) -> Patch {
             return near;
         }
     }
-    return Patch(vec3(0.0), NOWHERE, vec3(0.0));
+    return Patch(vec3(0.0), NOWHERE, vec3(0.0), 1u);
 }
 
 // How far in front of it a patch is fused, in voxels.
@@ -53,17 +55,27 @@ fn fuse_patch(surface: Patch) -> u32 {
         return OUTSIDE_GRID;
     }
     let range_m = max(length(surface.center), 1e-30);
-    let cosine = max(-dot(surface.center, surface.normal) / range_m, 0.0);
-    let known = select(RAY_WEIGHT, 1.0, is_plane(surface));
+    let cosine = cosine_of(surface);
     let sigma = sigma_vox(arm_m(surface));
     // Those of one scan that meet in one voxel are off together.
     let crowd = max(frame.crowd * cosine / (range_m * range_m), 1.0);
     let off = sigma * (1.0 / HALVING);
     let share = 1.0 / (1.0 + crowd * off * off);
-    var l = line(center, surface.normal, share * known * cosine * min(1.0 / range_m, 1.0));
+    var l = line(center, surface.normal, share * weight_of(surface) * f32(surface.turn));
     l.reach = clamp(SIGMAS * sigma, front(), frame.truncation_vox);
     walk(l);
     return FUSED;
+}
+
+// The cosine of the angle at which the sensor sees a patch; where there is no plane, it faces the sensor.
+fn cosine_of(surface: Patch) -> f32 {
+    return max(-dot(surface.center, surface.normal) / max(length(surface.center), 1e-30), 0.0);
+}
+
+// What a patch weighs where scans agree.
+fn weight_of(surface: Patch) -> f32 {
+    let known = select(RAY_WEIGHT, 1.0, is_plane(surface));
+    return known * cosine_of(surface) * min(1.0 / max(length(surface.center), 1e-30), 1.0);
 }
 
 // A return without a plane.
@@ -84,6 +96,11 @@ fn nth(dense: f32) -> u32 {
 
 // Fuses the surface between two neighbours, if both lie on the same one and are no farther apart than this.
 fn connect(a: Patch, b: Patch, longest_m: f32) {
+    // The end that takes part more often, since it is less known, tells when.
+    let turn = select(a.turn, b.turn, (b.turn & ~WAITS) < (a.turn & ~WAITS));
+    if (turn & WAITS) != 0u {
+        return;
+    }
     let apart = b.center - a.center;
     let gap = length(apart);
     let range = min(length(a.center), length(b.center));
@@ -112,7 +129,7 @@ fn connect(a: Patch, b: Patch, longest_m: f32) {
         let t = k / steps;
         let center = a.center + apart * t;
         let normal = select(a.normal + (b.normal - a.normal) * t, -center, kind == RAY);
-        fuse_patch(Patch(center, kind, normal / max(length(normal), 1e-30)));
+        fuse_patch(Patch(center, kind, normal / max(length(normal), 1e-30), turn));
     }
 }
 

@@ -12,7 +12,11 @@ struct Patch {
     kind: u32,
     // Faces the sensor; zero for a return without a plane.
     normal: vec3<f32>,
+    // It takes part in one of so many scans; with WAITS, in none now.
+    turn: u32,
 }
+
+const WAITS: u32 = 0x100u;
 
 // What is known about the surface at a patch: nothing, the end of a ray, a plane through half of the window, or through all of it.
 const NOWHERE: u32 = 0u;
@@ -152,12 +156,12 @@ fn judge(plane: Plane, kind: u32, point: vec3<f32>, ray: vec3<f32>) -> Found {
         && plane.spread2 >= MIN_SPREAD * MIN_SPREAD * max(plane.residual2, noise2)
         && cosine2 >= MIN_COSINE * MIN_COSINE;
     if !is_surface {
-        return Found(Patch(point, RAY, vec3(0.0)), bitcast<f32>(INFINITE));
+        return Found(Patch(point, RAY, vec3(0.0), 1u), bitcast<f32>(INFINITE));
     }
     let normal = select(plane.normal, -plane.normal, facing > 0.0);
     // Of the distance from the plane, the part that is noise is removed, and the part that is shape stays.
     let noise = min(noise2_across / max(plane.residual2, 1e-37), 1.0);
-    return Found(Patch(point + plane.normal * (noise * off), kind, normal), plane.residual2);
+    return Found(Patch(point + plane.normal * (noise * off), kind, normal, 1u), plane.residual2);
 }
 
 // The squared noise that the windows of some returns show.

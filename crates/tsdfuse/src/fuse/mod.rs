@@ -32,6 +32,7 @@ mod pierced;
 mod placed;
 mod raycast;
 mod roldao;
+mod settled;
 mod surfel;
 #[doc(hidden)]
 pub mod twin;

@@ -26,11 +26,12 @@ use super::{
     engine::Skip,
     lines::{Line, Lines, Planes, Rule, Shape},
     placed::{Order, Placed},
+    settled::Settled,
 };
 use crate::{
     map::{MapConfig, OutOfMemory, VoxelMap},
     memory::prefetch,
-    patch::{Limits, Patches, widest_gap_m},
+    patch::{Limits, Patches, RAY_WEIGHT, widest_gap_m},
     reach::Reach,
     scan::Scan,
     sensor::{ScanImage, SensorModel},
@@ -51,9 +52,6 @@ pub const STEP: f32 = 1.5;
 
 /// For so many bytes of the map's memory limit, there may be one patch between returns, which takes a third of that with its line.
 const LIMIT_PER_PATCH: usize = 512;
-
-/// Weight where there is no plane.
-pub const RAY_WEIGHT: f32 = 0.1;
 
 /// Options of [`Patch`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -116,6 +114,7 @@ pub struct Patch {
     placed: Placed,
     image: ScanImage,
     patches: Patches,
+    settled: Settled,
     order: Order,
     places: Vec<Option<(u8, u8)>>,
     lines: Lines,
@@ -168,7 +167,7 @@ impl Integrator for Patch {
         );
         let anchor = anchor?;
         let (placed, image) = (&self.placed, &self.image);
-        let limits = Limits {
+        let mut limits = Limits {
             window_m: self.config.window_m,
             noise_m: self.config.noise_m,
             step_m: STEP * grid.voxel_size_m() as f32,
@@ -178,23 +177,33 @@ impl Integrator for Patch {
         };
         let column_rad = sensor.column_width_rad() as f32;
         self.patches
-            .update(image, &placed.points, &placed.origins, column_rad, &limits)
-            .ok_or(OutOfMemory::Limit {
-                limit_bytes: map.memory_limit(),
-            })?;
-        let (returns, patches) = (placed.len(), &self.patches.all);
-        self.order.sort(grid, anchor, patches.len(), |i| patches[i].center);
-        let prepare_secs = start.elapsed().as_secs_f64();
-
-        let truncation = map.config().truncation_vox();
-        let reach = FRONT.min(truncation);
+            .update(image, &placed.points, &placed.origins, column_rad, &mut limits);
+        let returns = placed.len();
         // Without erasing, nothing depends on what the map holds, and maps of parts of a log can be added.
-        let agreement = if self.config.carve && self.config.agreement {
-            Agreement::of(map, anchor, &patches[..returns], &mut self.places)
+        let looks = self.config.carve && self.config.agreement;
+        let agreement = if looks {
+            Agreement::of(map, anchor, &self.patches.all, &mut self.places)
         } else {
             Agreement::default()
         };
         let crowd = crowd(sensor, grid.voxel_size_m());
+        self.settled.clear();
+        if looks {
+            self.settled.find(map, anchor, crowd, agreement, &mut self.patches.all);
+        }
+        self.patches
+            .link(image, column_rad, &limits)
+            .ok_or(OutOfMemory::Limit {
+                limit_bytes: map.memory_limit(),
+            })?;
+        let patches = &self.patches.all;
+        self.order.sort(grid, anchor, patches.len(), |i| {
+            patches[i].turn.is_due.then_some(patches[i].center)
+        });
+        let prepare_secs = start.elapsed().as_secs_f64();
+
+        let truncation = map.config().truncation_vox();
+        let reach = FRONT.min(truncation);
         let mut done = self.lines.run(
             map,
             &self.order.numbers,
@@ -211,24 +220,22 @@ impl Integrator for Patch {
                         weight: RAY_WEIGHT * (1.0 / ray.range_m).min(1.0),
                     });
                 }
-                let range_m = patch.center.length();
-                let cosine = (-patch.center.dot(patch.normal) / range_m).max(0.0);
-                let known = if patch.is_plane() { 1.0 } else { RAY_WEIGHT };
                 let sigma = agreement.sigma_of(patch);
                 Ok(Line {
                     center: anchor.locate(patch.center).ok_or(Skip::OutsideGrid)?,
                     axis: patch.normal,
                     reach: (SIGMAS * sigma).clamp(reach, truncation),
-                    weight: share(sigma, crowd * cosine / (range_m * range_m))
-                        * known
-                        * cosine
-                        * (1.0 / range_m).min(1.0),
+                    weight: share(sigma, crowd * patch.cosine() / patch.center.length_squared())
+                        * patch.weight()
+                        * f32::from(patch.turn.times),
                 })
             },
             &AlongPatch { truncation },
         )?;
         // Patches between returns do not count as returns.
+        done.fused_returns += patches[..returns].iter().filter(|patch| !patch.turn.is_due).count() as u64;
         done.fused_returns = done.fused_returns.saturating_sub((patches.len() - returns) as u64);
+        self.settled.mark(map);
         if self.config.carve {
             let centers = Centers {
                 anchor,

@@ -44,6 +44,9 @@ pub struct MeasuredRay {
 const REGIONS: i32 = 1 << 7;
 const CELLS: usize = (REGIONS as usize) << 6;
 
+/// The cell of what is not sorted.
+const LEFT_OUT: u16 = u16::MAX;
+
 impl Placed {
     /// Places all returns of a scan in a grid, in place of those that were there, and returns the scan's anchor.
     ///
@@ -82,7 +85,7 @@ impl Placed {
     pub fn sort(&mut self, grid: Grid) {
         if let Some(anchor) = self.anchor {
             let points = &self.points;
-            self.order.sort(grid, anchor, points.len(), |i| points[i]);
+            self.order.sort(grid, anchor, points.len(), |i| Some(points[i]));
         }
     }
 
@@ -137,9 +140,9 @@ impl Placed {
 }
 
 impl Order {
-    /// Orders things by the regions of their places, and within these by cells of 2³ blocks, which a counting sort takes in any
+    /// Orders things that have a place by the regions of their places, and within these by cells of 2³ blocks, which a counting sort takes in any
     /// order (and some as one).
-    pub(crate) fn sort(&mut self, grid: Grid, anchor: Anchor, count: usize, at: impl Fn(usize) -> Vec3 + Sync) {
+    pub(crate) fn sort(&mut self, grid: Grid, anchor: Anchor, count: usize, at: impl Fn(usize) -> Option<Vec3> + Sync) {
         let (voxel, fraction) = anchor.split();
         let cell_edge = (2 * BLOCK_EDGE) as f32;
         let scale = (1.0 / grid.voxel_size_m()) as f32 / cell_edge;
@@ -155,14 +158,18 @@ impl Order {
         (0..count)
             .into_par_iter()
             .with_min_len(1024)
-            .map(|i| cell(at(i)))
+            .map(|i| at(i).map_or(LEFT_OUT, cell))
             .collect_into_vec(&mut self.cells);
         let mut starts = [0; CELLS + 1];
-        self.cells.iter().for_each(|&cell| starts[usize::from(cell) + 1] += 1);
+        let mut sorted = 0;
+        for &cell in self.cells.iter().filter(|cell| **cell != LEFT_OUT) {
+            starts[usize::from(cell) + 1] += 1;
+            sorted += 1;
+        }
         (0..CELLS).for_each(|c| starts[c + 1] += starts[c]);
         self.numbers.clear();
-        self.numbers.resize(count, 0);
-        for (i, &cell) in (0..).zip(&self.cells) {
+        self.numbers.resize(sorted, 0);
+        for (i, &cell) in (0..).zip(&self.cells).filter(|(_, cell)| **cell != LEFT_OUT) {
             let next = &mut starts[usize::from(cell)];
             self.numbers[*next] = i;
             *next += 1;

@@ -35,6 +35,7 @@ pub use config::MapConfig;
 pub use dense::Dense;
 pub use error::MapError;
 pub use observed::{ObservedBlock, ObservedVoxel};
+pub(crate) use recent::Recent;
 pub use region::{BlockPool, RegionBlocks};
 pub use sample::Sample;
 pub(crate) use shard::{NO_SLOT, Shard};

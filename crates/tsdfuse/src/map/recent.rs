@@ -9,13 +9,13 @@ use super::{
 use crate::index::{BlockIndex, local_number};
 
 /// A map, and the blocks of it that were looked up last.
-pub(super) struct Recent<'a> {
+pub(crate) struct Recent<'a> {
     map: &'a VoxelMap,
     blocks: [(BlockIndex, Option<&'a Block>); 64],
 }
 
 impl<'a> Recent<'a> {
-    pub(super) fn new(map: &'a VoxelMap) -> Self {
+    pub(crate) fn new(map: &'a VoxelMap) -> Self {
         Self {
             map,
             // No map has such a block.
@@ -24,7 +24,7 @@ impl<'a> Recent<'a> {
     }
 
     #[inline]
-    pub(super) fn block(&mut self, index: BlockIndex) -> Option<&'a Block> {
+    pub(crate) fn block(&mut self, index: BlockIndex) -> Option<&'a Block> {
         let low = index.0 & 3;
         let known = &mut self.blocks[(low.x | low.y << 2 | low.z << 4) as usize % 64];
         if known.0 != index {
@@ -34,7 +34,7 @@ impl<'a> Recent<'a> {
     }
 
     #[inline]
-    pub(super) fn voxel(&mut self, voxel: IVec3) -> Voxel {
+    pub(crate) fn voxel(&mut self, voxel: IVec3) -> Voxel {
         let block = self.block(BlockIndex::of(voxel));
         block.map_or(Voxel::default(), |block| block.voxels[local_number(voxel)])
     }

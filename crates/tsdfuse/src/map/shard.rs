@@ -143,6 +143,18 @@ impl Shard {
         Ok(slot)
     }
 
+    /// Counts a block among those that integration number `stamp` updated.
+    pub(crate) fn mark_updated(&mut self, index: BlockIndex, stamp: u32) {
+        let (region, block) = in_region(index);
+        if let Some(&number) = self.numbers.get(&region) {
+            let region = &mut self.regions[number as usize];
+            if region.stamp != stamp {
+                (region.stamp, region.updated) = (stamp, [0; REGION_BLOCKS / 64]);
+            }
+            region.updated[block / 64] |= 1 << (block % 64);
+        }
+    }
+
     /// Visits all blocks of some regions, and tells of each whether integration number `stamp` updated it.
     pub(crate) fn for_each_block_mut(
         &mut self,

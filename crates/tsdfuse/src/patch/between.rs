@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::{
     ROUGHNESS_M,
-    surface::{Kind, Limits, Patch},
+    surface::{Kind, Limits, Patch, Turn},
 };
 use crate::sensor::{PART, ScanImage};
 
@@ -83,8 +83,15 @@ impl Between {
                     let Some(other) = other else {
                         continue;
                     };
+                    // The end that takes part more often, since it is less known, tells when.
+                    let (turn, others) = (all[i].turn, all[other].turn);
+                    let turn = if others.times < turn.times { others } else { turn };
+                    if !turn.is_due {
+                        continue;
+                    }
                     if let Some(kind) = linked(&all[i], &all[other], longest_m, limits) {
-                        let more = on_the_way(&all[i], &all[other], kind, limits.step_m);
+                        let more =
+                            on_the_way(&all[i], &all[other], kind, limits.step_m).map(|patch| Patch { turn, ..patch });
                         if more.len() > room - between.len() {
                             return None;
                         }
@@ -159,6 +166,7 @@ fn on_the_way(a: &Patch, b: &Patch, kind: Kind, step_m: f32) -> impl ExactSizeIt
             center,
             normal: normal.normalize_or_zero(),
             kind,
+            turn: Turn::default(),
         }
     })
 }
@@ -178,7 +186,12 @@ mod tests {
     };
 
     fn patch(center: Vec3, normal: Vec3, kind: Kind) -> Patch {
-        Patch { center, normal, kind }
+        Patch {
+            center,
+            normal,
+            kind,
+            turn: Turn::default(),
+        }
     }
 
     /// Whether what the sensor meets head-on `range` away, `gap` apart, is linked.

@@ -20,12 +20,12 @@ pub use between::{
     MAX_OFF as MAX_OFF_BETWEEN, MIN_DOT, widest_gap_m,
 };
 pub use sums::MAX_COLUMNS;
-pub(crate) use surface::{Limits, Patch};
+pub use surface::RAY_WEIGHT;
+pub(crate) use surface::{Kind, Limits, Patch, Turn};
 
 use between::Between;
 use plane::Moments;
 use sums::{Window, WindowSums};
-use surface::Kind;
 
 /// How rough a surface may be beside the noise (root of the mean of squares), metres.
 pub const ROUGHNESS_M: f32 = 0.01;
@@ -90,16 +90,14 @@ impl Patches {
     /// A return's window reaches as far along rings and columns as [`Limits::window_m`] does at its range. If its returns do not
     /// lie in a plane, halves of it are tried, so that planes end at edges: of those that are planes the one with
     /// the smallest residual is taken.
-    ///
-    /// `None` if there are too many patches between returns ([`Limits::most`]).
     pub(crate) fn update(
         &mut self,
         image: &ScanImage,
         points: &[Vec3],
         origins: &[Vec3],
         column_rad: f32,
-        limits: &Limits,
-    ) -> Option<()> {
+        limits: &mut Limits,
+    ) {
         self.sums.update(image, points);
         self.all.clear();
         self.all.extend(points.iter().map(|&center| Patch {
@@ -118,7 +116,8 @@ impl Patches {
         if limits.noise_m == 0.0 {
             scan.limits.noise_m = scan.noise_m(level, &mut self.noise);
         }
-        let (scan, limits) = (&scan, &scan.limits);
+        limits.noise_m = scan.limits.noise_m;
+        let scan = &scan;
         self.parts.resize_with(image.columns().div_ceil(PART), Part::default);
         self.parts.par_iter_mut().enumerate().for_each(|(k, part)| {
             let columns = k * PART..((k + 1) * PART).min(image.columns());
@@ -128,6 +127,10 @@ impl Patches {
             let planes = returns.iter().zip(patches).filter(|(_, patch)| patch.is_plane());
             planes.for_each(|(&i, &patch)| self.all[i as usize] = patch);
         }
+    }
+
+    /// Appends those between returns; `None` if there are too many of them ([`Limits::most`]).
+    pub(crate) fn link(&mut self, image: &ScanImage, column_rad: f32, limits: &Limits) -> Option<()> {
         self.between.append_to(&mut self.all, image, column_rad, limits)
     }
 }
@@ -310,6 +313,7 @@ impl Scan<'_> {
                 center: centers.get(lane),
                 normal: towards.get(lane),
                 kind,
+                turn: Turn::default(),
             };
             found.residual2[lane] = residual2[lane];
         }

@@ -1,0 +1,57 @@
+// How often the map listens where it knows the surface: see `tsdfuse::fuse::settled`.
+
+// In one of how many scans a patch takes part.
+fn times_of(surface: Patch, voxel: vec2<u32>) -> u32 {
+    let range_m = max(length(surface.center), 1e-30);
+    let weight = max(weight_of(surface), 1e-30);
+    let lines = max(frame.crowd * cosine_of(surface) / (range_m * range_m), LEAST_LINES);
+    let held = f32(voxel.x);
+    let scans = held / (KNOWN * WEIGHT_SCALE * weight * lines);
+    let is_other = frame.truncation_vox * abs(f32(bitcast<i32>(voxel.y))) > OTHER_SURFACE * held;
+    // No update weighs more than 1.
+    let most = u32(clamp(min(scans, 1.0 / weight), 1.0, f32(MOST_TIMES)));
+    return select(1u << firstLeadingBit(most), 1u, is_other);
+}
+
+// The voxel of the grid that a patch lies in; the second part is false if it is outside.
+struct Place {
+    voxel: vec3<i32>,
+    is_there: bool,
+}
+
+fn place_of_patch(surface: Patch) -> Place {
+    let center = frame.anchor_fraction + surface.center * frame.voxels_per_m;
+    return Place(frame.anchor_voxel + vec3<i32>(floor(center)), all(abs(center) < vec3(MAX_REACH)));
+}
+
+@compute @workgroup_size(64)
+fn find_turns(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var cell = id.x; cell < frame.rings * frame.columns; cell += 64u * groups.x) {
+        if !is_plane(patches[cell]) || sigma_vox(arm_m(patches[cell])) > AGREES {
+            continue;
+        }
+        let place = place_of_patch(patches[cell]);
+        let block = place.voxel >> vec3(3u);
+        let slot = slot_of(block);
+        if !place.is_there || slot == NONE {
+            continue;
+        }
+        let at = vec3<u32>(place.voxel & vec3(7));
+        let times = times_of(patches[cell], load_voxel(slot, at.x | at.y << 3u | at.z << 6u));
+        let is_due = ((u32(block.x + block.y + block.z) + frame.stamp) & (times - 1u)) == 0u;
+        patches[cell].turn = select(times | WAITS, times, is_due);
+    }
+}
+
+// Counts the blocks that wait among those that the scan updated, after it is fused: it shows that their surface is there.
+@compute @workgroup_size(64)
+fn mark_waiting(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var cell = id.x; cell < frame.rings * frame.columns; cell += 64u * groups.x) {
+        if patches[cell].kind != NOWHERE && (patches[cell].turn & WAITS) != 0u {
+            let slot = slot_of(place_of_patch(patches[cell]).voxel >> vec3(3u));
+            if slot != NONE {
+                atomicStore(&blocks[slot].stamp, frame.stamp);
+            }
+        }
+    }
+}
