@@ -41,6 +41,9 @@ const TURN: DMat3 = {
     DMat3::from_cols_array(&[A, -C, -B, B, C, -A, C, C, C])
 };
 
+/// The same of one that is wide.
+const WIDE: f64 = 4.0;
+
 /// Elevations within such an angle are not told apart, radians.
 const ELEVATION_STEP: f32 = 0.005;
 
@@ -127,6 +130,11 @@ impl Plane {
     pub(crate) fn faces(&self, direction: DVec3, least_share: f64) -> bool {
         let error = (self.variance * self.lever(direction)).sqrt();
         self.normal.dot(direction).abs() > least_share + 3.0 * error
+    }
+
+    /// Whether the plane is much wider than thick: a line of one beam's points and a few others beside it is not.
+    pub(crate) fn is_wide(&self) -> bool {
+        self.variance * self.along[0].length_squared() < WIDE.powi(-2)
     }
 
     /// How far from a point the plane lies along a direction, metres.
@@ -414,14 +422,27 @@ impl Cells {
         Some((plane, residual, variance))
     }
 
-    /// All planes of the cells that a point lies in, and of those up to `reach` away along a direction.
-    pub(crate) fn planes_along(&self, p: DVec3, direction: DVec3, reach: f64, mut each: impl FnMut(&Plane)) {
+    /// All planes of the cells that a point lies in, and of those up to `reach` away along a direction, as far as they are planes without what was seen
+    /// at some elevations (as bits), too.
+    pub(crate) fn planes_along(
+        &self,
+        p: DVec3,
+        direction: DVec3,
+        reach: f64,
+        without: u64,
+        mut each: impl FnMut(&Plane),
+    ) {
         let steps = (reach / (0.5 * self.grid.size)).ceil() as i32;
         let mut last = None;
         for k in -steps..=steps {
             let key = self.grid.key(p + direction * (f64::from(k) / f64::from(steps) * reach));
             if last != Some(key) {
-                self.planes_of(key, |_, plane| each(plane));
+                self.planes_of(key, |(shard, at), plane| {
+                    let elevations = self.shards[shard as usize].cells[at as usize].elevations;
+                    if (elevations & !without).count_ones() >= LEAST_ELEVATIONS {
+                        each(plane);
+                    }
+                });
             }
             last = Some(key);
         }
