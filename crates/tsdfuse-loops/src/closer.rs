@@ -342,9 +342,11 @@ impl Closer {
         }
         // A place that was found twice, from two guesses, says it once.
         let mut places = Vec::new();
-        found.retain(|found| !found.is_weak && !places.contains(&found.place) && {
-            places.push(found.place);
-            true
+        found.retain(|found| {
+            !found.is_weak && !places.contains(&found.place) && {
+                places.push(found.place);
+                true
+            }
         });
         let mut closed = 0;
         for found in found {

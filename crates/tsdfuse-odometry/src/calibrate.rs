@@ -4,8 +4,8 @@
 //! what is left. The distance of returns from what the other scans saw, with poses that were refined under the same correction, has its
 //! minimum where the correction is right. (The share of returns that match has no such maximum: where scans disagree, more is tolerated.)
 
-use tsdfuse::sensor::SensorCorrection;
 use tsdfuse::Scan;
+use tsdfuse::sensor::SensorCorrection;
 
 use crate::refiner::Refiner;
 use crate::tracker::OdometryConfig;

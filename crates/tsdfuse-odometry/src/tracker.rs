@@ -630,7 +630,11 @@ impl Tracker {
         let step = (gap + secs).max(1e-3);
         // Without times any distance may lie between two scans.
         let usual = 0.5 * step * step * if begin_at.is_some() { 1.0 } else { 10.0 };
-        let slack = if gap > 0.02 * step { (gap / step).min(1.0) } else { UNSTEADY };
+        let slack = if gap > 0.02 * step {
+            (gap / step).min(1.0)
+        } else {
+            UNSTEADY
+        };
         let prior_of = |predicted: &Prediction, used: PredictedBy| {
             let unforeseen = (self.config.acceleration, self.config.turn_acceleration);
             // Changes of the velocity and of the rate of turn, and how far a sweep is off at most at least.
