@@ -14,14 +14,14 @@ fn times_of(surface: Patch, voxel: vec2<u32>) -> u32 {
 }
 
 // The voxel of the grid that a patch lies in; the second part is false if it is outside.
-struct Place {
+struct Center {
     voxel: vec3<i32>,
     is_there: bool,
 }
 
-fn place_of_patch(surface: Patch) -> Place {
-    let center = frame.anchor_fraction + surface.center * frame.voxels_per_m;
-    return Place(frame.anchor_voxel + vec3<i32>(floor(center)), all(abs(center) < vec3(MAX_REACH)));
+fn center_of_patch(surface: Patch) -> Center {
+    let at = frame.anchor_fraction + surface.center * frame.voxels_per_m;
+    return Center(frame.anchor_voxel + vec3<i32>(floor(at)), all(abs(at) < vec3(MAX_REACH)));
 }
 
 @compute @workgroup_size(64)
@@ -30,13 +30,13 @@ fn find_turns(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         if !is_plane(patches[cell]) || sigma_vox(arm_m(patches[cell])) > AGREES {
             continue;
         }
-        let place = place_of_patch(patches[cell]);
-        let block = place.voxel >> vec3(3u);
+        let center = center_of_patch(patches[cell]);
+        let block = center.voxel >> vec3(3u);
         let slot = slot_of(block);
-        if !place.is_there || slot == NONE {
+        if !center.is_there || slot == NONE {
             continue;
         }
-        let at = vec3<u32>(place.voxel & vec3(7));
+        let at = vec3<u32>(center.voxel & vec3(7));
         let times = times_of(patches[cell], load_voxel(slot, at.x | at.y << 3u | at.z << 6u));
         let is_due = ((u32(block.x + block.y + block.z) + frame.stamp) & (times - 1u)) == 0u;
         patches[cell].turn = select(times | WAITS, times, is_due);
@@ -46,9 +46,13 @@ fn find_turns(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
 // Counts the blocks that wait among those that the scan updated, after it is fused: it shows that their surface is there.
 @compute @workgroup_size(64)
 fn mark_waiting(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    // A scan that found no room is repeated, and lists then what it updates.
+    if atomicLoad(&state.flags) != 0u {
+        return;
+    }
     for (var cell = id.x; cell < frame.rings * frame.columns; cell += 64u * groups.x) {
         if patches[cell].kind != NOWHERE && (patches[cell].turn & WAITS) != 0u {
-            let slot = slot_of(place_of_patch(patches[cell]).voxel >> vec3(3u));
+            let slot = slot_of(center_of_patch(patches[cell]).voxel >> vec3(3u));
             if slot != NONE {
                 atomicStore(&blocks[slot].stamp, frame.stamp);
             }
