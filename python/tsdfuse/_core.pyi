@@ -164,7 +164,7 @@ class Log:
     def imu(self) -> dict[str, NDArray[Any]]:
         """``times_ns`` (N,), ``angular_velocity`` (N, 3) in rad/s, ``acceleration`` (N, 3) in m/s², body frame."""
     def gnss(self) -> list[dict[str, Any]]:
-        """Time, latitude, longitude (degrees, WGS 84), height (m), standard deviations (m) and antenna (m, body frame) of each fix."""
+        """Time, latitude, longitude (degrees, WGS 84), height (m, or None), standard deviations (m, or None) and antenna (m, body frame) of each fix."""
     def guess_sensor(self) -> dict[str, Any] | None:
         """The model of the first sensor: the log's, or guessed from its first scan."""
     def select(self, selection: Mapping[str, Any] | Sequence[int] | None = None) -> Scans:

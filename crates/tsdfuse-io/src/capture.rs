@@ -17,14 +17,14 @@ use std::path::{Path, PathBuf};
 
 use tsdfuse::trajectory::secs_between;
 use tsdfuse::{Pose, Scan, Trajectory};
-use tsdfuse_packets::{Calibration, Decoder, Maker, Sensor as Model};
+use tsdfuse_packets::{Calibration, Decoder, Maker, Position, Sensor as Model};
 
 use crate::calibrations::Calibrations;
 use crate::error::{Error, Result};
 use crate::mounted::Mounted;
 use crate::placed;
 use crate::poses::{self, Poses};
-use crate::source::{ImuSample, OpenOptions, ScanRef, Sensor, Source};
+use crate::source::{GnssFix, ImuSample, OpenOptions, ScanRef, Sensor, Source};
 pub(crate) use datagrams::{Datagram, Datagrams, Flow};
 pub(crate) use records::{Layout, Records};
 
@@ -55,6 +55,9 @@ struct Sender {
     bad: u64,
     bad_reason: String,
     imu_packets: u64,
+    /// Of a GNSS receiver, on the sensor's clock, and how often it told no place.
+    fixes: Vec<GnssFix>,
+    void: u64,
     notes: Vec<String>,
 }
 
@@ -127,6 +130,12 @@ impl Survey {
                 sender.take(&datagram);
                 continue;
             }
+            let mut here = senders
+                .iter_mut()
+                .filter(|sender| sender.flow.source == datagram.flow.source);
+            if here.any(|sender| sender.take_beside(&datagram)) {
+                continue;
+            }
             let is_refused = refused.iter().any(|(flow, _)| *flow == datagram.flow);
             let model = if is_refused {
                 None
@@ -142,16 +151,7 @@ impl Survey {
                 (found, _) => found,
             };
             let Some(model) = model else {
-                // Of an Ouster's inertial measurement unit.
-                let is_imu = |sender: &&mut Sender| {
-                    sender.model == Model::Ouster
-                        && sender.flow.source == datagram.flow.source
-                        && !sender.decoder.imu(datagram.payload).is_empty()
-                };
-                match senders.iter_mut().find(is_imu) {
-                    Some(sender) => sender.imu_packets += 1,
-                    None => others += 1,
-                }
+                others += 1;
                 continue;
             };
             if senders.len() + refused.len() >= MAX_SENSORS {
@@ -163,7 +163,10 @@ impl Survey {
             match Sender::new(&datagram, model, &calibrations) {
                 Ok(mut sender) => {
                     sender.take(&datagram);
-                    senders.push(sender);
+                    // Packets of a position alone are no sensor's that was named.
+                    if sender.decoder.counts().packets + sender.bad > 0 {
+                        senders.push(sender);
+                    }
                 }
                 Err(reason) => refused.push((datagram.flow, reason)),
             }
@@ -249,8 +252,34 @@ impl Sender {
             bad: 0,
             bad_reason: String::new(),
             imu_packets: 0,
+            fixes: Vec::new(),
+            void: 0,
             notes,
         })
+    }
+
+    /// Takes what the sensor sends beside packets of returns; whether it is that.
+    fn take_beside(&mut self, datagram: &Datagram) -> bool {
+        match self.decoder.position(datagram.received_ns, datagram.payload) {
+            Some(Position::Fix {
+                time_ns,
+                latitude_deg,
+                longitude_deg,
+            }) => self.fixes.push(GnssFix {
+                time_ns,
+                latitude_deg,
+                longitude_deg,
+                ..GnssFix::default()
+            }),
+            Some(Position::Repeated) => {}
+            Some(Position::Void) => self.void += 1,
+            None => {
+                let is_imu = !self.decoder.imu(datagram.payload).is_empty();
+                self.imu_packets += u64::from(is_imu);
+                return is_imu;
+            }
+        }
+        true
     }
 
     /// Follows a packet.
@@ -259,7 +288,10 @@ impl Sender {
         self.before = [self.before[1], datagram.offset];
         let place = match self.decoder.place(datagram.received_ns, datagram.payload) {
             Ok(Some(place)) => place,
-            Ok(None) => return,
+            Ok(None) => {
+                self.take_beside(datagram);
+                return;
+            }
             Err(reason) => {
                 if self.bad == 0 {
                     self.bad_reason = reason.to_string();
@@ -355,6 +387,12 @@ impl Sender {
             notes.push(format!(
                 "{name}: {} packets are left out; the first one: {}",
                 self.bad, self.bad_reason
+            ));
+        }
+        if self.void > 0 {
+            notes.push(format!(
+                "{name}: {} sentences of its GNSS receiver tell no place or are damaged: left out",
+                self.void
             ));
         }
         notes
@@ -632,6 +670,21 @@ impl Source for Capture {
         }
         samples.sort_by_key(|sample| sample.time_ns);
         Ok(samples)
+    }
+
+    fn gnss(&self) -> Result<Vec<GnssFix>> {
+        let senders = self.senders.iter().zip(&self.shifts_ns);
+        // Two receivers must not be mixed.
+        let with_fixes = senders.filter(|(sender, _)| !sender.fixes.is_empty()).take(1);
+        let fixes = with_fixes.flat_map(|(sender, shift_ns)| {
+            sender.fixes.iter().map(|fix| GnssFix {
+                time_ns: fix.time_ns.saturating_add(*shift_ns),
+                ..*fix
+            })
+        });
+        let mut fixes: Vec<_> = fixes.collect();
+        fixes.sort_by_key(|fix| fix.time_ns);
+        Ok(fixes)
     }
 
     fn notes(&self) -> &[String] {

@@ -150,7 +150,7 @@ impl Packets {
             time_ns,
             latitude_deg: packet.latitude_deg,
             longitude_deg: packet.longitude_deg,
-            altitude_m: packet.altitude_m,
+            altitude_m: Some(packet.altitude_m),
             sigma_m: packet.sigma_m.map(|sigma| [sigma; 3]),
             ..GnssFix::default()
         };

@@ -115,8 +115,8 @@ pub struct GnssFix {
     pub latitude_deg: f64,
     /// Longitude, degrees, east positive.
     pub longitude_deg: f64,
-    /// Height above the ellipsoid, metres.
-    pub altitude_m: f64,
+    /// Height above the ellipsoid, metres, where the receiver tells it.
+    pub altitude_m: Option<f64>,
     /// Standard deviations east, north and up, metres, where the receiver tells them.
     pub sigma_m: Option<[f64; 3]>,
     /// What was there (the antenna), in the log's body frame, metres; the body's origin where the log does not tell.
@@ -124,12 +124,13 @@ pub struct GnssFix {
 }
 
 impl GnssFix {
-    /// Metres east, north and up of another fix.
+    /// Metres east, north and up of another fix; as if they were at one height, unless both heights are known.
     pub fn seen_from(&self, origin: &Self) -> DVec3 {
+        let known = self.altitude_m.is_some() && origin.altitude_m.is_some();
         let place = |fix: &Self| Geographic {
             latitude_deg: fix.latitude_deg,
             longitude_deg: fix.longitude_deg,
-            height_m: fix.altitude_m,
+            height_m: fix.altitude_m.filter(|_| known).unwrap_or(0.0),
         };
         place(self).seen_from(&place(origin)).translation
     }

@@ -70,7 +70,8 @@ fn date_time(text: &str) -> Option<i64> {
     let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
     let days = era * 146_097 + of_era * 365 + of_era / 4 - of_era / 100 + of_year - 719_468;
     let whole_minutes = (i64::from(days) * 24 + i64::from(hours)) * 60 + i64::from(minutes);
-    Some(whole_minutes * 60_000_000_000 + secs_ns)
+    // Other years than 1678 to 2261 have no such number.
+    whole_minutes.checked_mul(60_000_000_000)?.checked_add(secs_ns)
 }
 
 /// Hours, minutes, and nanoseconds of the minute.
@@ -106,6 +107,7 @@ mod tests {
             "1.0\nnan",
             "1.0\n2011-13-26 13:04:33",
             "1.0\n2011-09-26 25:04:33",
+            "1.0\n0003-04-01 08:01:00",
             "1.0\n2 3",
         ] {
             let message = times(bad).unwrap_err();

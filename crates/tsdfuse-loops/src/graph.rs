@@ -373,18 +373,29 @@ impl PoseGraph {
         edges.chain(positions).chain(uprights).sum()
     }
 
-    /// What holds the first node where nothing tells where the world is: positions tell it, and gravity tells the tilt.
+    /// What holds the first node where nothing tells where the world is: positions tell it, but without heights neither height nor tilt; gravity tells
+    /// the tilt.
     fn held(&self, first: &Pose) -> Matrix6<f64> {
         let (tightly, loosely) = HELD;
-        if !self.positions.is_empty() {
-            return Matrix6::identity() * loosely;
-        }
-        let mut held = Matrix6::identity() * tightly;
-        if !self.uprights.is_empty() {
-            let up = first.rotation.conjugate() * DVec3::Z;
-            let heading = DMat3::from_cols(up * up.x, up * up.y, up * up.z) * tightly;
-            put(&mut held, 3, 3, heading + DMat3::IDENTITY * loosely);
-        }
+        let up = first.rotation.conjugate() * DVec3::Z;
+        let vertical = DMat3::from_cols(up * up.x, up * up.y, up * up.z);
+        let are_placed = !self.positions.is_empty();
+        let are_heights_known = self.positions.iter().any(|position| position.sigma_m.z.is_finite());
+        let free = DMat3::IDENTITY * loosely;
+        let shift = match (are_placed, are_heights_known) {
+            (false, _) => DMat3::IDENTITY * tightly,
+            (true, false) => vertical * tightly + free,
+            (true, true) => free,
+        };
+        let heading = if are_placed { DMat3::ZERO } else { vertical * tightly };
+        let tilt = if are_heights_known || !self.uprights.is_empty() {
+            DMat3::ZERO
+        } else {
+            (DMat3::IDENTITY - vertical) * tightly
+        };
+        let mut held = Matrix6::zeros();
+        put(&mut held, 0, 0, shift);
+        put(&mut held, 3, 3, heading + tilt + free);
         held
     }
 

@@ -52,7 +52,7 @@ pub struct Fix {
     pub time_ns: i64,
     /// Where the antenna was, metres, in a world of the fixes' own whose z is up (such as east, north, up).
     pub place: DVec3,
-    /// Standard deviations along the axes of that world, metres.
+    /// Standard deviations along the axes of that world, metres. Infinite along z if the height is not known.
     pub sigma_m: DVec3,
     /// Where the antenna sits, in the sensor frame, metres.
     pub antenna: DVec3,
@@ -100,6 +100,13 @@ struct Anchor {
     sigma: DVec3,
     /// Fixes at this node, which count together as one: their errors have much in common.
     count: f64,
+}
+
+impl Anchor {
+    /// 1 along the axes along which the place is known, 0 along z if the height is not.
+    fn known(&self) -> DVec3 {
+        DVec3::ONE.with_z(if self.sigma.z.is_finite() { 1.0 } else { 0.0 })
+    }
 }
 
 /// The direction of gravity at a node.
@@ -182,7 +189,8 @@ impl Anchors {
             let scan = &way.scans[way.nodes[node]];
             let drift = drift_m * (along - scan.along).abs().sqrt();
             let sigma = DVec3::from_array(fix.sigma_m.to_array().map(|sigma| sigma.hypot(drift)));
-            if !(fix.place.is_finite() && sigma.is_finite() && fix.sigma_m.min_element() > 0.0) {
+            let is_known = fix.place.is_finite() && sigma.truncate().is_finite() && !sigma.z.is_nan();
+            if !(is_known && fix.sigma_m.min_element() > 0.0) {
                 continue;
             }
             counts[node] += 1.0;
@@ -320,6 +328,7 @@ impl Anchors {
                 (a.place, here, horizontal(a.sigma).x.powi(-2))
             })
             .collect();
+        let known: Vec<DVec3> = self.anchors.iter().map(Anchor::known).collect();
         if pairs.is_empty() {
             return None;
         }
@@ -344,9 +353,10 @@ impl Anchors {
         let stated: Vec<f64> = pairs.iter().map(|pair| pair.2).collect();
         let (mut pose, _) = fitted(&stated);
         let squares = |pose: &Pose| -> Vec<f64> {
+            let off = |a: &DVec3, b: &DVec3, known: &DVec3| (pose.transform_point(*a) - *b) * *known;
+            let pairs = pairs.iter().zip(&known);
             pairs
-                .iter()
-                .map(|(a, b, w)| w * pose.transform_point(*a).distance_squared(*b))
+                .map(|((a, b, w), known)| w * off(a, b, known).length_squared())
                 .collect()
         };
         let mut width = squares(&pose).into_iter().fold(DOUBTFUL, f64::max);
@@ -361,7 +371,7 @@ impl Anchors {
             pose = next;
             let least = (4.0 * median(&mut squares(&pose))).max(DOUBTFUL);
             if width <= least {
-                return (heading_sigma <= LEAST_HEADING).then(|| tilted(pose, &pairs, &weights));
+                return (heading_sigma <= LEAST_HEADING).then(|| tilted(pose, &pairs, &weights, &known));
             }
             width = (0.5 * width).max(least);
         }
@@ -405,6 +415,8 @@ struct Off {
     by: f64,
     /// Squared, in standard deviations.
     squared: f64,
+    /// In how many directions.
+    directions: f64,
 }
 
 /// How fixes and gravity lie to a trajectory.
@@ -420,10 +432,11 @@ struct State {
 impl State {
     fn of(anchors: &Anchors, nodes: &[Pose], world_from_fixes: Option<Pose>) -> Self {
         let off = |a: &Anchor, world_from_fixes: &Pose| {
-            let off = nodes[a.node].transform_point(a.at) - world_from_fixes.transform_point(a.place);
+            let off = (nodes[a.node].transform_point(a.at) - world_from_fixes.transform_point(a.place)) * a.known();
             Off {
                 by: off.length(),
                 squared: (off / horizontal(a.sigma)).length_squared(),
+                directions: a.known().element_sum(),
             }
         };
         let fixes = world_from_fixes.iter();
@@ -432,7 +445,11 @@ impl State {
         let tilt = |level: &Level| {
             let by = (level.up - bias).angle_between(nodes[level.node].rotation.conjugate() * up);
             let squared = (by / level.sigma).powi(2);
-            Off { by, squared }
+            Off {
+                by,
+                squared,
+                directions: 2.0,
+            }
         };
         Self {
             world_from_fixes,
@@ -442,15 +459,15 @@ impl State {
         }
     }
 
-    /// Whether all that is believed is as near as it should be: fixes in three directions, gravity in two.
+    /// Whether all that is believed is as near as it should be.
     fn agrees(&self, believed: &[bool]) -> bool {
         let fixes = self.fixes.iter().zip(believed).filter(|(_, is_believed)| **is_believed);
-        let is_near = |off: &mut dyn Iterator<Item = &Off>, expected: f64| {
-            let (sum, n) = off.fold((0.0, 0.0), |(sum, n), off| (sum + off.squared, n + 1.0));
-            sum <= AGREES * expected * n
+        let is_near = |off: &mut dyn Iterator<Item = &Off>| {
+            let (sum, expected) = off.fold((0.0, 0.0), |(sum, n), off| (sum + off.squared, n + off.directions));
+            sum <= AGREES * expected
         };
-        let is_tilted = !is_near(&mut self.levels.iter(), 2.0) || self.bias > MOST_BIAS;
-        !is_tilted && is_near(&mut fixes.map(|(off, _)| off), 3.0)
+        let is_tilted = !is_near(&mut self.levels.iter()) || self.bias > MOST_BIAS;
+        !is_tilted && is_near(&mut fixes.map(|(off, _)| off))
     }
 
     /// Medians of the distances of fixes, metres, and of the angles to gravity, radians.
@@ -467,13 +484,13 @@ fn horizontal(sigma: DVec3) -> DVec3 {
 }
 
 /// The pose that brings places (first) best to others (second), from one that is turned about the vertical alone. On a straight way nothing tells the tilt about it.
-fn tilted(pose: Pose, pairs: &[(DVec3, DVec3, f64)], weights: &[f64]) -> Pose {
+fn tilted(pose: Pose, pairs: &[(DVec3, DVec3, f64)], weights: &[f64], known: &[DVec3]) -> Pose {
     const PASSES: usize = 4;
     let mut pose = pose;
     let middle = pairs.iter().map(|pair| pair.1).sum::<DVec3>() / pairs.len().max(1) as f64;
     for _ in 0..PASSES {
         let (mut h, mut g) = (Matrix6::zeros(), Vector6::zeros());
-        for ((there, here, _), weight) in pairs.iter().zip(weights) {
+        for (((there, here, _), weight), known) in pairs.iter().zip(weights).zip(known) {
             let (at, off) = (
                 pose.transform_point(*there) - middle,
                 pose.transform_point(*there) - *here,
@@ -483,8 +500,9 @@ fn tilted(pose: Pose, pairs: &[(DVec3, DVec3, f64)], weights: &[f64]) -> Pose {
             for (row, axis) in [DVec3::X, DVec3::Y, DVec3::Z].into_iter().enumerate() {
                 let turns = columns.map(|column| column[row]);
                 let j = Vector6::new(axis.x, axis.y, axis.z, turns[0], turns[1], turns[2]);
-                h += j * j.transpose() * *weight;
-                g -= j * (off[row] * *weight);
+                let weight = weight * known[row];
+                h += j * j.transpose() * weight;
+                g -= j * (off[row] * weight);
             }
         }
         for turn in 3..5 {

@@ -148,6 +148,27 @@ fn fixes_straighten_a_drifted_trajectory_as_well_as_they_are_known() {
 }
 
 #[test]
+fn fixes_without_heights_tell_the_rest() {
+    let drifted = odometry(|_| DVec3::new(0.0, 0.0, 6e-5));
+    let mut flat = fixes(0.02, 10);
+    for fix in &mut flat {
+        (fix.place.z, fix.sigma_m.z) = (0.0, f64::INFINITY);
+    }
+    let closer = closed(&drifted, flat, Vec::new());
+    let found = closer.anchoring().unwrap();
+    assert_eq!((found.fixes, found.doubted_fixes), (600, 120));
+    let fixes_from_world = found.fixes_from_world.unwrap();
+    for (scan, drifted) in drifted.iter().enumerate() {
+        let there = fixes_from_world * closer.pose(scan);
+        let off = there.translation - (elsewhere() * truth(secs(scan))).translation;
+        assert!(off.truncate().length() < 0.15, "{scan}: {off}");
+        // Heights stay as odometry has them, within what it may drift; the world is not tilted.
+        let risen = closer.pose(scan).translation.z - drifted.translation.z;
+        assert!(risen.abs() < 1.0, "{scan}: {risen}");
+    }
+}
+
+#[test]
 fn fixes_that_are_less_sure_than_the_trajectory_do_not_bend_it() {
     let good = odometry(|_| DVec3::ZERO);
     let closer = closed(&good, fixes(3.0, 10), Vec::new());

@@ -7,6 +7,7 @@ use tsdfuse::{ImuSample, Scan, SensorModel};
 use crate::calibration::Calibration;
 use crate::cutter::{Cut, Cutter};
 use crate::error::Result;
+use crate::position::Position;
 use crate::returns::Returns;
 use crate::sensor::{Maker, Sensor};
 use crate::{hesai, ouster, velodyne};
@@ -40,6 +41,11 @@ pub(crate) trait Packets: Send + Sync {
     /// Samples of the inertial measurement unit, where a packet has some.
     fn imu(&self, _payload: &[u8]) -> Vec<ImuSample> {
         Vec::new()
+    }
+
+    /// What a GNSS receiver at the sensor told, where a packet passes that on. `near_ns` as in [`head`](Self::head).
+    fn position(&mut self, _near_ns: i64, _payload: &[u8]) -> Option<Position> {
+        None
     }
 }
 
@@ -203,6 +209,13 @@ impl Decoder {
     /// Samples of the sensor's inertial measurement unit, if the packet has some: in its own packets, as Ouster sends them.
     pub fn imu(&self, payload: &[u8]) -> Vec<ImuSample> {
         self.packets.imu(payload)
+    }
+
+    /// What a GNSS receiver at the sensor told, if the packet passes that on: in its own packets, as Velodyne sends them. A place is told again in every
+    /// packet until there is a new one. It has the receiver's time, if the sensor's clock follows the receiver; otherwise, the time at which it was first
+    /// passed on.
+    pub fn position(&mut self, received_ns: i64, payload: &[u8]) -> Option<Position> {
+        self.packets.position(self.near_ns(received_ns), payload)
     }
 
     /// Takes a packet that was received at `received_ns` (nanoseconds since 1970); gives the sweep that ends with it.

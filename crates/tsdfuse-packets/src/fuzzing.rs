@@ -1,6 +1,6 @@
 //! Feeds each parser with arbitrary bytes, for the targets in `fuzz/`. Not part of the library's interface.
 
-use crate::{Calibration, Decoder, Sensor};
+use crate::{Calibration, Decoder, Position, Sensor, position};
 
 /// A calibration, of whatever kind it looks like.
 pub fn calibration(bytes: &[u8]) {
@@ -44,9 +44,15 @@ fn decoders() -> impl Iterator<Item = Decoder> {
 /// If not.
 pub fn packets(bytes: &[u8]) {
     let _ = Sensor::recognise(bytes);
+    // With the checksum that belongs to it.
+    let sum = bytes.iter().fold(0, |sum, byte| sum ^ byte);
+    let _ = position::parse(&[bytes, format!("*{sum:02X}").as_bytes()].concat());
     for mut decoder in decoders() {
         let mut sweeps = Vec::new();
         for received_ns in [0, 1_700_000_000_000_000_000, i64::MAX, i64::MIN] {
+            if let Some(Position::Fix { latitude_deg, .. }) = decoder.position(received_ns, bytes) {
+                assert!(latitude_deg.abs() <= 90.0, "a place on the earth");
+            }
             sweeps.extend(decoder.push(received_ns, bytes).ok().flatten());
         }
         sweeps.extend(decoder.finish());

@@ -1,4 +1,4 @@
-//! Velodyne: 1206 bytes of 12 blocks, each with an azimuth and 32 returns.
+//! Velodyne: 1206 bytes of 12 blocks, each with an azimuth and 32 returns; 512 bytes with what a GNSS receiver told.
 //!
 //! Layouts, firing times and angles are those of the makers' manuals. Points are computed as the ROS drivers of these sensors
 //! do (`velodyne_pointcloud`, nebula), against whose output they are tested:
@@ -25,11 +25,13 @@ use crate::cutter::{TURN, turned};
 use crate::decoder::{Head, Packets};
 use crate::error::{PacketError, Result};
 use crate::hesai;
+use crate::position::{self, Position};
 use crate::returns::Returns;
 use crate::sensor::Sensor;
 
-/// Every packet of returns is this long; packets of GPS are 512.
+/// Every packet of returns is this long, and every packet of a position.
 const PACKET: usize = 1206;
+const POSITION: usize = 512;
 const BLOCKS: usize = 12;
 const BLOCK: usize = 100;
 const LASERS_PER_BLOCK: usize = 32;
@@ -37,6 +39,11 @@ const LASERS_PER_BLOCK: usize = 32;
 const TIME: usize = 1200;
 const MODE: usize = 1204;
 const MODEL: usize = 1205;
+/// In a packet of a position: when it was sent, and what the receiver told last.
+const SENT: usize = 198;
+const SENTENCE: usize = 206;
+/// A receiver tells a place sooner after it was there: if not, the sensor's clock does not follow it.
+const LATEST_NS: i64 = 2_000_000_000;
 const DUAL: u8 = 0x39;
 const HOUR_NS: i64 = 3_600_000_000_000;
 
@@ -147,6 +154,8 @@ pub(crate) struct Velodyne {
     beams: Vec<Beam>,
     range_unit_m: f64,
     is_nominal: bool,
+    /// What the GNSS receiver told last.
+    sentence: Option<Vec<u8>>,
 }
 
 impl Velodyne {
@@ -177,6 +186,7 @@ impl Velodyne {
             beams: calibration.lasers.iter().zip(rings).map(beam).collect(),
             range_unit_m: calibration.range_unit_m.unwrap_or(layout.range_unit_m),
             is_nominal,
+            sentence: None,
         })
     }
 
@@ -274,8 +284,8 @@ impl Velodyne {
 
 impl Packets for Velodyne {
     fn head(&mut self, near_ns: i64, payload: &[u8]) -> Result<Option<Head>> {
-        // GPS packets of the same port.
-        if payload.len() == 512 || payload.len() == 554 {
+        // Of a position, to the same port.
+        if payload.len() == POSITION || payload.len() == 554 {
             return Ok(None);
         }
         if payload.len() != PACKET {
@@ -368,6 +378,32 @@ impl Packets for Velodyne {
 
     fn notes(&self) -> Vec<String> {
         Vec::from_iter(self.is_nominal.then(|| self.sensor.nominal_note()))
+    }
+
+    fn position(&mut self, near_ns: i64, payload: &[u8]) -> Option<Position> {
+        if payload.len() != POSITION {
+            return None;
+        }
+        let sentence = position::sentence(&payload[SENTENCE..]);
+        if self.sentence.as_deref() == Some(sentence) {
+            return Some(Position::Repeated);
+        }
+        let is_first = self.sentence.replace(sentence.to_vec()).is_none();
+        let Some(place) = position::parse(sentence) else {
+            return Some(Position::Void);
+        };
+        let sent_ns = in_hour(u32_at(payload, SENT), near_ns);
+        let measured_ns = in_hour(place.micros, sent_ns);
+        let follows = (0..LATEST_NS).contains(&sent_ns.saturating_sub(measured_ns));
+        // Since when the first one was told is not known.
+        if is_first && !follows {
+            return Some(Position::Repeated);
+        }
+        Some(Position::Fix {
+            time_ns: if follows { measured_ns } else { sent_ns },
+            latitude_deg: place.latitude_deg,
+            longitude_deg: place.longitude_deg,
+        })
     }
 }
 

@@ -10,7 +10,7 @@ use crate::event::{Event, Observer};
 use crate::report::{Sums, with_commas};
 
 /// The share of the time that may be spent on telling what changed.
-const SHARE: f64 = 0.03;
+const SHARE: f64 = 0.02;
 
 /// Returns of the last scan that are shown, about.
 const RETURNS: usize = 20_000;

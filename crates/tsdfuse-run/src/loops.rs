@@ -29,7 +29,7 @@ pub struct LoopsReport {
     /// What GNSS and gravity told, if the log has either.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub anchoring: Option<Anchoring>,
-    /// Latitude, longitude (degrees, WGS 84) and height (metres) of the first fix, the origin of the fixes' world (east, north, up).
+    /// Latitude, longitude (degrees, WGS 84) and height (metres; 0 if it is not known) of the first fix, the origin of the fixes' world (east, north, up).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fixes_origin: Option<[f64; 3]>,
 }
@@ -69,11 +69,19 @@ impl Loops {
         let origin = fixes.first().copied();
         if let Some(origin) = &origin {
             let (flat, up) = USUAL_SIGMA_M;
-            closer.push_fixes(fixes.iter().map(|fix| Fix {
-                time_ns: fix.time_ns,
-                place: fix.seen_from(origin),
-                sigma_m: fix.sigma_m.map_or(DVec3::new(flat, flat, up), DVec3::from_array),
-                antenna: sensor_from_body.transform_point(DVec3::from_array(fix.antenna_m)),
+            closer.push_fixes(fixes.iter().map(|fix| {
+                let sigma_m = fix.sigma_m.map_or(DVec3::new(flat, flat, up), DVec3::from_array);
+                let is_height_known = fix.altitude_m.is_some() && origin.altitude_m.is_some();
+                Fix {
+                    time_ns: fix.time_ns,
+                    place: fix.seen_from(origin),
+                    sigma_m: if is_height_known {
+                        sigma_m
+                    } else {
+                        sigma_m.with_z(f64::INFINITY)
+                    },
+                    antenna: sensor_from_body.transform_point(DVec3::from_array(fix.antenna_m)),
+                }
             }));
         }
         if config.gravity {
@@ -129,7 +137,7 @@ impl Loops {
                 anchoring: closer.anchoring().copied(),
                 fixes_origin: self
                     .origin
-                    .map(|fix| [fix.latitude_deg, fix.longitude_deg, fix.altitude_m]),
+                    .map(|fix| [fix.latitude_deg, fix.longitude_deg, fix.altitude_m.unwrap_or(0.0)]),
             },
             graph: graph(closer, indices),
         }

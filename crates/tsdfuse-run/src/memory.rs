@@ -19,8 +19,9 @@ use crate::view::{self, See};
 pub(crate) struct InMemory {
     map: VoxelMap,
     integrators: Integrators,
-    /// Once the surface is followed.
+    /// Once the surface is followed, and whether it knows all that was fused.
     surface: Option<Incremental>,
+    is_current: bool,
     config: MeshConfig,
 }
 
@@ -30,13 +31,29 @@ impl InMemory {
             map,
             integrators,
             surface: None,
+            is_current: false,
             config,
         }
     }
+
+    /// The map, and what following its surface told, if that is all that was fused.
+    fn known(&mut self, config: &MeshConfig) -> (&VoxelMap, Option<&mut Incremental>) {
+        let is_known = self.is_current && *config == self.config;
+        (&self.map, self.surface.as_mut().filter(|_| is_known))
+    }
+}
+
+/// The mesh of a map; what is known of its surface need not be found again.
+fn extract(map: &VoxelMap, known: Option<&mut Incremental>, config: &MeshConfig) -> Result<Mesh> {
+    Ok(match known {
+        Some(surface) => surface.mesh(map)?,
+        None => extract_with(map, config)?,
+    })
 }
 
 impl Backend for InMemory {
     fn fuse(&mut self, sensor: usize, scan: &Scan) -> Result<Vec<Settled>, Failed> {
+        self.is_current = false;
         let done = self.integrators.of(sensor).integrate(&mut self.map, scan);
         Ok(vec![done.map_err(Failed::of)?.into()])
     }
@@ -46,6 +63,7 @@ impl Backend for InMemory {
     }
 
     fn finish(&mut self) -> Result<Vec<BlockIndex>> {
+        self.is_current = false;
         let mut updated = Vec::new();
         for method in self.integrators.all() {
             let done = method
@@ -58,11 +76,13 @@ impl Backend for InMemory {
 
     fn follow(&mut self, updated: &[BlockIndex], changes: &mut Changes) -> Result<()> {
         follow(&mut self.surface, &self.config, &self.map, updated, changes);
+        self.is_current = true;
         Ok(())
     }
 
     fn mesh(&mut self, config: &MeshConfig) -> Result<Mesh> {
-        Ok(extract_with(&self.map, config)?)
+        let (map, known) = self.known(config);
+        extract(map, known, config)
     }
 
     fn write_surface(
@@ -72,8 +92,8 @@ impl Backend for InMemory {
         scene: &Scene,
         layers: &Layers,
     ) -> Result<MeshReport> {
-        let extract = || Ok(extract_with(&self.map, config)?);
-        surface::write_by(extract, &self.map, config, path, scene, layers)
+        let (map, known) = self.known(config);
+        surface::write_by(|| extract(map, known, config), map, config, path, scene, layers)
     }
 
     fn save(&mut self, path: &Path, poses: &[FusedPose]) -> Result<SavedMap> {

@@ -117,6 +117,7 @@ pub struct Session {
     most_unfollowed: usize,
     /// Seconds that telling changes took.
     following_secs: f64,
+    last_following_secs: f64,
     /// Seconds that a sensor's scans were waited for; files are read by others meanwhile, who need the processors.
     waiting_secs: f64,
     full: Option<String>,
@@ -307,6 +308,7 @@ impl Session {
             unfollowed: Vec::new(),
             most_unfollowed: MOST_UNFOLLOWED,
             following_secs: 0.0,
+            last_following_secs: 0.0,
             waiting_secs: 0.0,
             full: None,
             stopped: false,
@@ -754,7 +756,8 @@ impl Session {
             (None, Some(share)) if share <= 0.0 => false,
             (None, Some(share)) => {
                 let budget_secs = share * self.begun.elapsed().as_secs_f64() + WAITING_SHARE * self.waiting_secs;
-                self.following_secs < budget_secs
+                // The next time takes about as long as the last one, and shall still be within the budget.
+                self.following_secs + self.last_following_secs < budget_secs
             }
             (None, None) => return Ok(()),
         };
@@ -829,7 +832,8 @@ impl Session {
             }
         }
         observer.on(Event::SurfaceChanged(&self.changes));
-        self.following_secs += start.elapsed().as_secs_f64();
+        self.last_following_secs = start.elapsed().as_secs_f64();
+        self.following_secs += self.last_following_secs;
         Ok(())
     }
 

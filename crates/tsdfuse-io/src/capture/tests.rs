@@ -137,6 +137,80 @@ fn sweeps_are_read_in_any_order_from_any_kind_of_capture() {
     }
 }
 
+/// A packet that passes on what a GNSS receiver told, sent at these microseconds in the hour.
+fn position(micros: u32, time: &str, status: &str) -> Vec<u8> {
+    let text = format!("GPRMC,{time},{status},4830.0,N,01100.0,E,0.0,0.0,130920,,");
+    let sum = text.bytes().fold(0, |sum, byte| sum ^ byte);
+    let sentence = format!("${text}*{sum:02X}\r\n");
+    let mut packet = vec![0; 512];
+    packet[198..202].copy_from_slice(&micros.to_le_bytes());
+    packet[206..206 + sentence.len()].copy_from_slice(sentence.as_bytes());
+    packet
+}
+
+/// Velodyne's sensors pass on what a GNSS receiver tells, hundreds of times a second.
+#[test]
+fn places_of_a_receiver_at_the_sensor_are_fixes() {
+    // 1 600 000 000 s are 12:26:40.
+    let begin_ns = 1_600_000_000_000_000_000_i64;
+    let with_positions = |source: [u8; 4], late_ns: i64| {
+        let packets = turns([10, 0, 0, 1], 2368, late_ns).into_iter();
+        let frames = packets.enumerate().flat_map(|(i, (ns, packet))| {
+            let micros = 1_600_000_000 + (ns - begin_ns + late_ns) / 1000;
+            let (time, status) = match i {
+                0..120 => ("122640.00", "A"),
+                120..160 => ("122640.10", "V"),
+                _ => ("122640.20", "A"),
+            };
+            let position = frame(source, 8308, &position(micros as u32, time, status));
+            [(ns, position), (ns, packet)]
+        });
+        written(&pcap(&frames.collect::<Vec<_>>()))
+    };
+    let times = |log: &Log| -> Vec<i64> {
+        let fixes = log.gnss().unwrap();
+        assert!(
+            fixes
+                .iter()
+                .all(|fix| (fix.latitude_deg, fix.longitude_deg) == (48.5, 11.0))
+        );
+        assert!(
+            fixes
+                .iter()
+                .all(|fix| fix.altitude_m.is_none() && fix.sigma_m.is_none())
+        );
+        fixes.iter().map(|fix| fix.time_ns).collect()
+    };
+    let (_folder, path) = with_positions([10, 0, 0, 1], 0);
+    let plain = opened(&path);
+    // Where the model is named, a position is not taken for a packet of its returns.
+    let named = OpenOptions {
+        sensors: vec!["vlp16".to_owned()],
+        ..Default::default()
+    };
+    for log in [plain, crate::open_with(&path, &named).unwrap()] {
+        assert_eq!((log.len(), log.sensors().len()), (Some(3), 1));
+        assert_eq!(times(&log), [begin_ns, begin_ns + 200_000_000]);
+        let told = "vlp16: 1 sentences of its GNSS receiver tell no place or are damaged: left out";
+        assert!(log.notes().iter().any(|note| note == told), "{:?}", log.notes());
+        // Only of the first packet it was not known yet whose it is.
+        let mut others = log.notes().iter().filter(|note| note.contains("other datagrams"));
+        assert!(others.all(|note| note == "1 other datagrams are left out"));
+    }
+    // The sensor's clock does not follow the receiver: then only of the second place it is known when it came.
+    let (_folder, path) = with_positions([10, 0, 0, 1], 20_000_000_000);
+    assert_eq!(times(&opened(&path)), [begin_ns + 20_212_336_000]);
+    // Nor are they those of another sensor.
+    let (_folder, path) = with_positions([10, 0, 0, 7], 0);
+    let log = opened(&path);
+    assert!(times(&log).is_empty());
+    assert!(
+        log.notes()
+            .iter()
+            .any(|note| note == "260 other datagrams are left out")
+    );
+}
+
 #[test]
 fn sensors_are_told_apart_by_where_they_send_from() {
     let (a, b) = (turns([10, 0, 0, 1], 2368, 0), turns([10, 0, 0, 2], 2368, 1_000_000_000));

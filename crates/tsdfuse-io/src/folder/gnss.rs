@@ -39,7 +39,7 @@ fn fix(row: &Row<'_, 7>) -> Result<GnssFix> {
         time_ns: row.time_ns,
         latitude_deg,
         longitude_deg,
-        altitude_m,
+        altitude_m: Some(altitude_m),
         sigma_m: Some([east, north, up]),
         ..GnssFix::default()
     })
@@ -61,7 +61,7 @@ mod tests {
             time_ns: 500_000_000,
             latitude_deg: 48.5,
             longitude_deg: 11.0,
-            altitude_m: 300.0,
+            altitude_m: Some(300.0),
             sigma_m: Some([0.01, 0.02, 0.03]),
             antenna_m: [0.0; 3],
         };

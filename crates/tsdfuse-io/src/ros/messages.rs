@@ -106,12 +106,10 @@ pub(crate) fn imu(message: &Value<'_>) -> Result<ImuSample, String> {
 
 /// A `sensor_msgs/NavSatFix`, without its time; `None` if it has no fix.
 pub(crate) fn fix(message: &Value<'_>) -> Result<Option<GnssFix>, String> {
-    let place = [
-        message.float("latitude")?,
-        message.float("longitude")?,
-        message.float("altitude")?,
-    ];
-    let is_fix = message.int("status.status")? >= 0 && place.iter().all(|v| v.is_finite());
+    let (latitude_deg, longitude_deg) = (message.float("latitude")?, message.float("longitude")?);
+    // By the definition, NaN says that there is none.
+    let altitude_m = Some(message.float("altitude")?).filter(|altitude| altitude.is_finite());
+    let is_fix = message.int("status.status")? >= 0 && latitude_deg.is_finite() && longitude_deg.is_finite();
     let covariance: Vec<f64> = message.numbers("position_covariance")?.iter().collect();
     let sigma_m = match covariance.as_slice() {
         // Of an unknown covariance the type is 0.
@@ -124,7 +122,6 @@ pub(crate) fn fix(message: &Value<'_>) -> Result<Option<GnssFix>, String> {
         }
         _ => None,
     };
-    let [latitude_deg, longitude_deg, altitude_m] = place;
     Ok(is_fix.then_some(GnssFix {
         latitude_deg,
         longitude_deg,

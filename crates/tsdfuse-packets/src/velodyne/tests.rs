@@ -90,6 +90,60 @@ fn what_is_no_packet_is_told_in_a_sentence() {
     assert_eq!(told, "an HDL-64E needs its calibration, an XML or a YAML");
 }
 
+/// A packet with a sentence, sent at these microseconds in the hour.
+fn position(micros: u32, sentence: &str) -> Vec<u8> {
+    let mut packet = vec![0; POSITION];
+    packet[SENT..SENT + 4].copy_from_slice(&micros.to_le_bytes());
+    packet[SENTENCE..SENTENCE + sentence.len()].copy_from_slice(sentence.as_bytes());
+    packet
+}
+
+/// What a receiver tells at these seconds of 08:18.
+fn rmc(secs: f64, latitude: &str, status: &str) -> String {
+    let text = format!("GPRMC,0818{secs:05.2},{status},{latitude},N,00224.0,W,0.0,0.0,210116,,");
+    let sum = text.bytes().fold(0, |sum, byte| sum ^ byte);
+    format!("${text}*{sum:02X}\r\n")
+}
+
+#[test]
+fn a_place_is_told_once_at_the_time_at_which_it_was_measured() {
+    let mut decoder = Decoder::new(Sensor::Vlp16, Any::Nominal).unwrap();
+    let hour_ns = 400_000 * HOUR_NS + 8 * HOUR_NS;
+    let at = |secs: f64| (1_080.0 + secs) * 1e6;
+    let mut told = |secs: f64, sentence: &str| {
+        let received_ns = hour_ns + at(secs) as i64 * 1000 + 5_000_000;
+        decoder
+            .position(received_ns, &position(at(secs) as u32, sentence))
+            .unwrap()
+    };
+    let fix = |secs: f64, latitude_deg: f64| Position::Fix {
+        time_ns: hour_ns + at(secs) as i64 * 1000,
+        latitude_deg,
+        longitude_deg: -2.4,
+    };
+    assert_eq!(told(2.3, &rmc(2.0, "3630.0", "A")), fix(2.0, 36.5));
+    assert_eq!(told(2.9, &rmc(2.0, "3630.0", "A")), Position::Repeated);
+    assert_eq!(told(3.3, &rmc(3.0, "3645.0", "A")), fix(3.0, 36.75));
+    // No fix, a damaged sentence, and none.
+    assert_eq!(told(4.3, &rmc(4.0, "3645.0", "V")), Position::Void);
+    assert_eq!(told(4.4, &rmc(4.0, "3645.0", "V")), Position::Repeated);
+    assert_eq!(
+        told(5.3, &rmc(5.0, "3645.0", "A").replace("3645", "3644")),
+        Position::Void
+    );
+    assert_eq!(told(6.3, ""), Position::Void);
+    assert_eq!(told(6.4, ""), Position::Repeated);
+    assert!(decoder.position(0, &[0; 511]).is_none() && decoder.position(0, &vlp16(0, 40, 5000, 0)).is_none());
+    // The sensor's clock counts from somewhere else, as without pulses of the receiver.
+    let mut decoder = Decoder::new(Sensor::Vlp16, Any::Nominal).unwrap();
+    let mut told = |micros: u32, sentence: &str| decoder.position(hour_ns, &position(micros, sentence)).unwrap();
+    assert_eq!(told(100, &rmc(2.0, "3630.0", "A")), Position::Repeated);
+    let Position::Fix { time_ns, .. } = told(900_000, &rmc(3.0, "3630.0", "A")) else {
+        panic!("a new place");
+    };
+    assert_eq!(time_ns, hour_ns + 900_000_000);
+}
+
 #[test]
 fn calibrations_are_read_as_blocks_and_in_braces_and_as_xml() {
     let yaml = "lasers:\n- dist_correction: 0.5\n  laser_id: 1\n  rot_correction: 0.1\n  vert_correction: -0.25\n\

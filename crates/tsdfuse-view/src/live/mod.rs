@@ -100,11 +100,8 @@ impl Live {
             return;
         };
         let pieces: Vec<_> = changes.iter().collect();
-        let packed = pieces.into_par_iter().map(|piece| {
-            let mut bytes = Vec::new();
-            if !piece.triangles.is_empty() {
-                of_block(piece, &lattice).pack(&mut bytes);
-            }
+        let packed = pieces.into_par_iter().map_init(Packer::default, |packer, piece| {
+            let bytes = packer.pack(&piece, &lattice);
             (piece.block.0, Arc::from(bytes))
         });
         let packed: Vec<(IVec3, Arc<[u8]>)> = packed.collect();
@@ -153,8 +150,11 @@ impl Live {
         let Some(lattice) = self.shared.look(State::lattice) else {
             return;
         };
-        let relative = returns.flat_map(|place| (place - lattice.origin).as_vec3().to_array());
-        let bytes: Vec<u8> = relative.flat_map(f32::to_le_bytes).collect();
+        let mut bytes = Vec::new();
+        for place in returns {
+            let relative = (place - lattice.origin).as_vec3().to_array();
+            bytes.extend_from_slice(relative.map(f32::to_le_bytes).as_flattened());
+        }
         self.shared.change(|state| state.sweep(bytes.into()));
     }
 
@@ -174,33 +174,51 @@ impl Live {
     }
 }
 
-/// The piece of one block.
-fn of_block(piece: tsdfuse::mesh::Piece<'_>, lattice: &Lattice) -> Piece {
-    let steps: Vec<IVec3> = piece.vertices.iter().map(|vertex| lattice.steps(*vertex)).collect();
-    let origin = steps.iter().copied().reduce(IVec3::min).unwrap_or_default();
-    let mut numbers = vec![u32::MAX; steps.len()];
-    let (mut positions, mut normals) = (Vec::with_capacity(steps.len()), Vec::with_capacity(steps.len()));
-    let renumber = |vertex: u32| {
-        let vertex = vertex as usize;
-        if numbers[vertex] == u32::MAX {
-            numbers[vertex] = positions.len() as u32;
-            positions.push((steps[vertex] - origin).to_array().map(|n| n as u16));
-            normals.push(octahedral(normal(piece.normals, vertex)));
+/// Packs pieces of blocks, in memory that it keeps.
+#[derive(Default)]
+struct Packer {
+    steps: Vec<IVec3>,
+    /// The number that each vertex has in the piece.
+    numbers: Vec<u32>,
+    piece: Piece,
+    bytes: Vec<u8>,
+}
+
+impl Packer {
+    /// The bytes of a piece; none of one without triangles.
+    fn pack(&mut self, of: &tsdfuse::mesh::Piece<'_>, lattice: &Lattice) -> &[u8] {
+        let Self {
+            steps,
+            numbers,
+            piece,
+            bytes,
+        } = self;
+        bytes.clear();
+        if of.triangles.is_empty() {
+            return bytes;
         }
-        numbers[vertex]
-    };
-    let mut renumber = renumber;
-    let triangles = piece
-        .triangles
-        .iter()
-        .map(|corners| corners.map(&mut renumber))
-        .collect();
-    Piece {
-        origin,
-        positions,
-        normals,
-        triangles,
-        ..Piece::default()
+        steps.clear();
+        steps.extend(of.vertices.iter().map(|vertex| lattice.steps(*vertex)));
+        numbers.clear();
+        numbers.resize(steps.len(), u32::MAX);
+        piece.origin = steps.iter().copied().reduce(IVec3::min).unwrap_or_default();
+        piece.positions.clear();
+        piece.normals.clear();
+        piece.triangles.clear();
+        let (origin, positions, normals) = (piece.origin, &mut piece.positions, &mut piece.normals);
+        let mut renumber = |vertex: u32| {
+            let vertex = vertex as usize;
+            if numbers[vertex] == u32::MAX {
+                numbers[vertex] = positions.len() as u32;
+                positions.push((steps[vertex] - origin).to_array().map(|n| n as u16));
+                normals.push(octahedral(normal(of.normals, vertex)));
+            }
+            numbers[vertex]
+        };
+        let triangles = of.triangles.iter().map(|corners| corners.map(&mut renumber));
+        piece.triangles.extend(triangles);
+        piece.pack(bytes);
+        bytes
     }
 }
 

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use tiny_http::{Header, Request, Response, StatusCode};
 use tungstenite::handshake::derive_accept_key;
 use tungstenite::protocol::{Role, WebSocketConfig};
-use tungstenite::{Message, WebSocket};
+use tungstenite::{Bytes, Message, WebSocket};
 
 use super::ADDRESS;
 use super::state::{Seen, Shared};
@@ -213,11 +213,17 @@ fn view(stream: impl Read + Write, shared: &Shared) -> tungstenite::Result<()> {
     let config = WebSocketConfig::default().max_message_size(Some(1 << 10));
     let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
     let mut seen = Seen::default();
+    let mut message = Vec::new();
     while !shared.is_closing() {
         let told = Instant::now();
-        match shared.next(&mut seen, SIGN_OF_LIFE) {
-            Some(news) => socket.send(Message::binary(news))?,
-            None => socket.send(Message::text("{}"))?,
+        if shared.next(&mut seen, SIGN_OF_LIFE, &mut message) {
+            let news = Bytes::from(message);
+            socket.send(Message::Binary(news.clone()))?;
+            // Its memory, which nobody else has any more.
+            message = news.into();
+            message.clear();
+        } else {
+            socket.send(Message::text("{}"))?;
         }
         while !matches!(socket.read()?, Message::Text(_)) {}
         if shared.grows() {

@@ -46,14 +46,18 @@ impl Shared {
         self.changed.notify_all();
     }
 
-    /// The next message for a viewer; waits for news, but not longer than this. `None`: there were none.
-    pub(super) fn next(&self, seen: &mut Seen, at_most: Duration) -> Option<Vec<u8>> {
+    /// Appends the next message for a viewer; waits for news, but not longer than this. Whether there were any.
+    pub(super) fn next(&self, seen: &mut Seen, at_most: Duration, message: &mut Vec<u8>) -> bool {
         let state = self.lock();
         let (state, _) = self
             .changed
             .wait_timeout_while(state, at_most, |state| seen.changes == state.changes && !state.closing)
             .unwrap_or_else(PoisonError::into_inner);
-        (seen.changes != state.changes).then(|| state.news(seen))
+        let is_new = seen.changes != state.changes;
+        if is_new {
+            state.news(seen, message);
+        }
+        is_new
     }
 
     /// Ends all waiting for good.
@@ -218,10 +222,11 @@ impl State {
         self.figures = (self.figures.0 + 1, figures);
     }
 
-    /// What a viewer does not know yet, or the first part of it.
-    fn news(&self, seen: &mut Seen) -> Vec<u8> {
+    /// Appends what a viewer does not know yet, or the first part of it.
+    fn news(&self, seen: &mut Seen, message: &mut Vec<u8>) {
         let mut head = Head::default();
-        let mut body: Vec<u8> = Vec::new();
+        let mut body: Vec<&[u8]> = Vec::new();
+        let mut length = 0;
         if seen.scene != self.scene.0 {
             head.scene = Some(&self.scene.1);
             seen.scene = self.scene.0;
@@ -233,9 +238,10 @@ impl State {
             };
             let [x, y, z] = index.to_array().map(i64::from);
             head.pieces.push([x, y, z, bytes.len() as i64]);
-            body.extend_from_slice(bytes);
+            body.push(bytes);
+            length += bytes.len();
             seen.piece = version;
-            if body.len() >= BATCH {
+            if length >= BATCH {
                 break;
             }
         }
@@ -261,7 +267,7 @@ impl State {
         }
         if seen.sweep != self.sweep.0 {
             head.sweep = Some(self.sweep.1.len());
-            body.extend_from_slice(&self.sweep.1);
+            body.push(&self.sweep.1);
             seen.sweep = self.sweep.0;
         }
         if !head.more {
@@ -269,6 +275,8 @@ impl State {
         }
         // Plain data cannot fail to become JSON.
         let json = serde_json::to_vec(&head).unwrap_or_default();
-        [&(json.len() as u32).to_le_bytes(), json.as_slice(), &body].concat()
+        message.extend((json.len() as u32).to_le_bytes());
+        message.extend_from_slice(&json);
+        body.iter().for_each(|bytes| message.extend_from_slice(bytes));
     }
 }
