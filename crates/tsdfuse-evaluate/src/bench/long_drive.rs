@@ -178,14 +178,16 @@ impl Pass {
         }
     }
 
-    /// A whole pass does what the first one does.
+    /// A whole pass does what the first one does. (Blocks that `patch` knows take other turns in it, so a few may differ.)
     fn check(&self, first: &Self) -> Result<()> {
         let work = |pass: &Self| (pass.fused, pass.updated_blocks);
         if self.fused == 0 {
             let told = format!("no return could be fused from scan {} on", self.from);
             return Err(Error::Failed(told));
         }
-        if self.is_whole() && work(self) != work(first) {
+        let is_alike = self.fused == first.fused
+            && self.updated_blocks.abs_diff(first.updated_blocks) <= first.updated_blocks / 1000;
+        if self.is_whole() && !is_alike {
             return Err(Error::failed(format_args!(
                 "passes differ: {:?} returns and blocks in the first, {:?} from scan {} on",
                 work(first),
