@@ -33,11 +33,12 @@ pub(crate) struct Paged {
 }
 
 impl Paged {
-    /// Begins with an empty map and a new store.
+    /// Begins with an empty map and a new store; it may replace one that is there.
     pub(crate) fn begin(
         setup: &Setup,
         sensors: &[Option<SensorModel>],
         checkpoint: &Checkpoint,
+        replaces: bool,
         observer: &mut dyn Observer,
     ) -> Result<Self> {
         let path = match &setup.store {
@@ -49,7 +50,8 @@ impl Paged {
             }
         };
         let map = VoxelMap::new(setup.config.map)?;
-        let map = PagedMap::create(&path, map, &checkpoint.bytes(), setup.memory_bytes)?;
+        let make = if replaces { PagedMap::replace } else { PagedMap::create };
+        let map = make(&path, map, &checkpoint.bytes(), setup.memory_bytes)?;
         let mut paged = Self::resume(map, setup, sensors);
         paged.temporary = setup.store.is_none().then_some(path);
         Ok(paged)

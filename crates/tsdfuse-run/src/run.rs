@@ -32,7 +32,7 @@ impl Job {
         }
         let log = self.open(observer)?;
         let setup = self.setup(&log)?;
-        let session = Session::begin_job(&log, setup, Some(self.absolute()?), observer)?;
+        let session = Session::begin_job(&log, setup, Some(self.absolute()?), false, observer)?;
         self.go_on(start, &log, session, stop, observer)
     }
 

@@ -1,7 +1,6 @@
 //! The loop: scans are read ahead, cleaned, fused, followed and committed, one after the other.
 
 use std::collections::{BTreeSet, VecDeque};
-use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
@@ -150,10 +149,17 @@ impl Session {
     /// # Errors
     /// [`RunError::Config`] for a setup that does not go together, and what keeps the map from being made or loaded.
     pub fn begin(log: &Log, setup: Setup, observer: &mut dyn Observer) -> Result<Self> {
-        Self::begin_job(log, setup, None, observer)
+        Self::begin_job(log, setup, None, false, observer)
     }
 
-    pub(crate) fn begin_job(log: &Log, setup: Setup, job: Option<Job>, observer: &mut dyn Observer) -> Result<Self> {
+    /// Whether a store that is there is replaced, or left as it is with an error.
+    pub(crate) fn begin_job(
+        log: &Log,
+        setup: Setup,
+        job: Option<Job>,
+        replaces: bool,
+        observer: &mut dyn Observer,
+    ) -> Result<Self> {
         setup.check()?;
         let sensors: Vec<_> = log.sensors().iter().map(|sensor| sensor.model.clone()).collect();
         let mut checkpoint = Checkpoint {
@@ -174,7 +180,7 @@ impl Session {
             loading.check(&setup.config, &sensors, observer)?;
         }
         let (backend, loaded): (Box<dyn Backend>, _) = if setup.is_paged() {
-            let mut paged = Paged::begin(&setup, &sensors, &checkpoint, observer)?;
+            let mut paged = Paged::begin(&setup, &sensors, &checkpoint, replaces, observer)?;
             let load = |loading: Loading| {
                 let loaded = loading.read_into(&mut paged)?;
                 checkpoint.is_loaded = true;
@@ -516,16 +522,13 @@ impl Session {
             let scans = log.scans().partition_point(|scan| scan.time_ns <= last.time_ns);
             setup.selection.to = Some(setup.selection.to.unwrap_or(scans).min(scans));
         }
-        // The map so far goes first: there might not be room for both, and a store has one name.
+        // The map so far goes first: there might not be room for both in memory.
         self.backend = Box::new(InMemory::new(
             VoxelMap::new(setup.config.map)?,
             Integrators::new(&setup.config, &[]),
             setup.config.mesh,
         ));
-        if let Some(store) = &setup.store {
-            fs::remove_file(store).map_err(tsdfuse_io::Error::io(store))?;
-        }
-        let again = Self::begin_job(&log, setup, self.checkpoint.job.take(), observer)?;
+        let again = Self::begin_job(&log, setup, self.checkpoint.job.take(), true, observer)?;
         let before = std::mem::replace(self, again);
         self.stopped = before.stopped;
         if !before.stopped {

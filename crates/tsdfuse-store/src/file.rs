@@ -66,10 +66,15 @@ pub fn remove_unused(path: impl AsRef<Path>) -> bool {
 impl StoreFile {
     /// Creates a store. The file appears under its name once the first commit is complete.
     pub(crate) fn create(path: &Path, state: State) -> Result<Self> {
-        let wrong = StoreError::file(path);
         if path.exists() {
-            return Err(wrong(io::Error::other("is there already")));
+            return Err(StoreError::file(path)(io::Error::other("is there already")));
         }
+        Self::replace(path, state)
+    }
+
+    /// The same in the place of a store that may be there, and that stays until then.
+    pub(crate) fn replace(path: &Path, state: State) -> Result<Self> {
+        let wrong = StoreError::file(path);
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
         let make = || {

@@ -14,9 +14,9 @@
 use std::io;
 use std::ops::{AddAssign, Range};
 
-use tsdfuse::MapConfig;
 use tsdfuse::glam::IVec3;
 use tsdfuse::index::{BLOCK_VOXELS, RegionIndex};
+use tsdfuse::{MapConfig, VoxelMap};
 use tsdfuse_io::map_file::{FusedPose, pack_poses, unpack_poses};
 
 /// Every record begins on a page of its own, so that writing one record cannot harm another, not even if the power
@@ -100,6 +100,18 @@ pub(crate) struct State {
     pub(crate) checkpoint: Vec<u8>,
     /// Of the scans that were fused, in that order.
     pub(crate) poses: Vec<FusedPose>,
+}
+
+impl State {
+    /// Of a map of which nothing is stored yet.
+    pub(crate) fn begun(map: &VoxelMap, checkpoint: &[u8]) -> Self {
+        Self {
+            config: *map.config(),
+            integrations: 0,
+            checkpoint: checkpoint.to_owned(),
+            poses: Vec::new(),
+        }
+    }
 }
 
 /// The root of the file: locates the index.

@@ -70,13 +70,25 @@ impl PagedMap {
         checkpoint: &[u8],
         limit_bytes: Option<usize>,
     ) -> Result<Self> {
-        let empty = State {
-            config: *map.config(),
-            integrations: 0,
-            checkpoint: checkpoint.to_owned(),
-            poses: Vec::new(),
-        };
-        let file = StoreFile::create(path.as_ref(), empty)?;
+        let file = StoreFile::create(path.as_ref(), State::begun(&map, checkpoint))?;
+        Self::begin(file, map, limit_bytes)
+    }
+
+    /// The same in the place of a store that is there: it stays until the new one holds its checkpoint, whatever happens meanwhile. No process may have it open.
+    ///
+    /// # Errors
+    /// [`StoreError::File`].
+    pub fn replace(
+        path: impl AsRef<Path>,
+        map: VoxelMap,
+        checkpoint: &[u8],
+        limit_bytes: Option<usize>,
+    ) -> Result<Self> {
+        let file = StoreFile::replace(path.as_ref(), State::begun(&map, checkpoint))?;
+        Self::begin(file, map, limit_bytes)
+    }
+
+    fn begin(file: StoreFile, map: VoxelMap, limit_bytes: Option<usize>) -> Result<Self> {
         let pager = Pager::start(file, Vec::new(), &map, limit_bytes)?;
         Ok(Self::new(map, pager, Vec::new(), false))
     }

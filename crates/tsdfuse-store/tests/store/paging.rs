@@ -357,3 +357,28 @@ fn stores_that_are_none_are_named() {
     assert!(told.contains("no/a.store: No such file"), "{told}");
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
 }
+
+#[test]
+fn a_store_stays_until_one_in_its_place_holds_its_checkpoint() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.store");
+    let (sensor, scans) = drive();
+    let mut paged = new_store(&path);
+    fused_with_little(&mut paged, Method::Raycast, &sensor, &scans[..2], &[2]);
+    drop(paged);
+    let checkpoint = || PagedMap::open_read_only(&path, LITTLE).unwrap().1;
+    // A folder in the place of the file that the new store is written to first: as if the disk failed.
+    let temporary = dir.path().join(format!(".a.store.{}.tmp", std::process::id()));
+    std::fs::create_dir(&temporary).unwrap();
+    let replace = || PagedMap::replace(&path, VoxelMap::new(config()).unwrap(), b"anew", LITTLE);
+    replace().map(drop).unwrap_err();
+    assert_eq!(checkpoint(), b"2");
+    std::fs::remove_dir(&temporary).unwrap();
+    drop(replace().unwrap());
+    assert_eq!(checkpoint(), b"anew");
+    let mut anew = replace().unwrap();
+    fused_with_little(&mut anew, Method::Raycast, &sensor, &scans[..1], &[1]);
+    drop(anew);
+    assert_eq!(checkpoint(), b"1");
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+}
