@@ -28,7 +28,9 @@ fn position(i: u32) -> Vec<u8> {
     let mut packet = vec![0; 512];
     packet[30..32].copy_from_slice(&(i as u16).to_le_bytes());
     // Gravity, along the first axis of two accelerometers.
-    [18, 26].map(|at| packet[at..at + 2].copy_from_slice(&819_u16.to_le_bytes()));
+    for at in [18, 26] {
+        packet[at..at + 2].copy_from_slice(&819_u16.to_le_bytes());
+    }
     packet[198..202].copy_from_slice(&(i * 1327).to_le_bytes());
     let text = format!(
         "GPRMC,0000{:05.2},A,3630.0,N,00224.0,W,0.0,0.0,010170,,",
@@ -187,7 +189,7 @@ fn samples_come_with_the_sweeps_in_whose_time_they_are_and_fixes_are_kept() {
 #[test]
 fn samples_that_nobody_asks_for_are_forgotten() {
     let ports = [free_port(), free_port()];
-    let sender = send_both(ports, 0..75 * 18, Duration::from_micros(200));
+    let sender = send_both(ports, 0..75 * 24, Duration::from_micros(200));
     let log = opened_at(&format!("127.0.0.1:{},{}", ports[0], ports[1]), &[]);
     let mut scans = log.read_ahead(&Selection::default());
     let first = scans.next().unwrap();
