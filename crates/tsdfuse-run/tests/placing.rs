@@ -165,7 +165,7 @@ fn imu(scans: &[Scan]) -> Vec<ImuSample> {
     };
     let pairs = scans.windows(2);
     pairs
-        .flat_map(|(i, pair)| (0..20).map(move |step| sample(i, pair, step)))
+        .flat_map(|pair| (0..20).map(move |step| sample(pair, step)))
         .collect()
 }
 
