@@ -260,6 +260,8 @@ impl Sender {
 
     /// Takes what the sensor sends beside packets of returns; whether it is that.
     fn take_beside(&mut self, datagram: &Datagram) -> bool {
+        let is_imu = !self.decoder.imu(datagram.received_ns, datagram.payload).is_empty();
+        self.imu_packets += u64::from(is_imu);
         match self.decoder.position(datagram.received_ns, datagram.payload) {
             Some(Position::Fix {
                 time_ns,
@@ -273,11 +275,7 @@ impl Sender {
             }),
             Some(Position::Repeated) => {}
             Some(Position::Void) => self.void += 1,
-            None => {
-                let is_imu = !self.decoder.imu(datagram.payload).is_empty();
-                self.imu_packets += u64::from(is_imu);
-                return is_imu;
-            }
+            None => return is_imu,
         }
         true
     }
@@ -659,7 +657,7 @@ impl Source for Capture {
                 break;
             }
             if datagram.flow.source == sender.flow.source {
-                samples.extend(sender.decoder.imu(datagram.payload));
+                samples.extend(sender.decoder.imu(datagram.received_ns, datagram.payload));
             }
         }
         let sensor = &self.sensors[i];

@@ -10,7 +10,7 @@ use tsdfuse::scan::RangeLimits;
 
 use crate::error::{Error, Result};
 use crate::selection::Selection;
-use crate::source::{Kept, News, OpenOptions, Sensor, Source, Stream, StreamedScan, checked, read_checked};
+use crate::source::{ImuSample, Kept, News, OpenOptions, Sensor, Source, Stream, StreamedScan, checked, read_checked};
 
 /// Threads that read from a source; each holds at most one scan until the caller takes it.
 const LANES: usize = 2;
@@ -26,6 +26,8 @@ pub struct ReadScan {
     pub sensor: usize,
     /// The scan, or why it could not be read.
     pub scan: Result<Scan>,
+    /// Samples of a stream's inertial measurement unit that came before the scan was complete, in the log's body frame.
+    pub imu: Vec<ImuSample>,
     /// Seconds of wall time that reading and decoding took (in the background); of a stream also waiting for it.
     pub read_secs: f64,
 }
@@ -130,6 +132,7 @@ impl Iterator for ReadAhead {
                 index,
                 sensor: 0,
                 scan: Err(Error::dataset(&*format, &**reason)),
+                imu: Vec::new(),
                 read_secs: 0.0,
             }),
         }
@@ -188,6 +191,7 @@ impl Lanes {
                 index,
                 sensor: scan.map_or(0, |s| s.sensor),
                 scan: Err(died(scan.map_or("", |s| s.name.as_str()))),
+                imu: Vec::new(),
                 read_secs: 0.0,
             }
         }))
@@ -222,6 +226,7 @@ fn read(source: &dyn Source, index: usize) -> ReadScan {
         index,
         sensor: source.scans().get(index).map_or(0, |s| s.sensor),
         scan,
+        imu: Vec::new(),
         read_secs: start.elapsed().as_secs_f64(),
     }
 }
@@ -267,18 +272,21 @@ impl Pipe {
                 let Some(StreamedScan { sensor, scan }) = stream.next() else {
                     return;
                 };
+                if !selection.contains(index) {
+                    continue;
+                }
                 let scan = scan.and_then(|scan| {
                     let name = scan.name.clone();
                     checked(scan, &name, sensors.get(sensor))
                 });
-                let read_secs = start.elapsed().as_secs_f64();
                 let read = ReadScan {
                     index,
                     sensor,
                     scan,
-                    read_secs,
+                    imu: stream.imu(),
+                    read_secs: start.elapsed().as_secs_f64(),
                 };
-                if selection.contains(index) && sender.send(read).is_err() {
+                if sender.send(read).is_err() {
                     return; // nobody wants more
                 }
             }
@@ -314,6 +322,7 @@ impl Pipe {
             index: self.next,
             sensor: 0,
             scan: Err(died(&self.live.format)),
+            imu: Vec::new(),
             read_secs: 0.0,
         })
     }

@@ -246,6 +246,12 @@ pub trait Stream: Send {
     /// The next scan; waits for it. `None` at the end.
     fn next(&mut self) -> Option<StreamedScan>;
 
+    /// Samples of the inertial measurement unit in the log's body frame that came since this was last asked, in order of time: those of the scan that was
+    /// handed out last among them. Those that nobody asks for are forgotten in the end.
+    fn imu(&mut self) -> Vec<ImuSample> {
+        Vec::new()
+    }
+
     /// What is missing or odd, one sentence each.
     fn notes(&self) -> &[String] {
         &[]

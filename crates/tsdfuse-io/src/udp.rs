@@ -7,7 +7,11 @@
 //!
 //! Packets of one sender are read: of the first one from which packets of a LiDAR come. Its model is recognised, or told
 //! (`OpenOptions::sensors`). An Ouster needs its metadata (`OpenOptions::calibration`).
+//!
+//! What the sensor sends beside packets of returns, samples of its inertial measurement unit and positions, goes to a port of its own: the maker's, or
+//! the one that is told, `udp://:2368,8308`. A sweep waits until the samples of all its time are there.
 
+use std::collections::VecDeque;
 use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs, UdpSocket};
 use std::path::Path;
@@ -15,11 +19,13 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::Builder;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use tsdfuse_packets::{Calibration, Decoder, Sensor as Model, Sweep};
+use tsdfuse::glam::DQuat;
+use tsdfuse::trajectory::ns_after;
+use tsdfuse_packets::{Calibration, Decoder, Maker, Sensor as Model, Sweep};
 
 use crate::calibrations::Calibrations;
 use crate::error::{Error, Result};
-use crate::source::{Kept, News, OpenOptions, Sensor, Stream, StreamedScan};
+use crate::source::{ImuSample, Kept, News, OpenOptions, Sensor, Stream, StreamedScan};
 
 mod kept;
 
@@ -31,6 +37,10 @@ pub(crate) const SILENCE_SECS: u64 = if cfg!(test) { 1 } else { 10 };
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// No datagram is longer.
 const MAX_DATAGRAM: usize = 65_536;
+/// Samples that wait for a reader: of seconds, whatever the sensor. Older ones are forgotten.
+const MAX_SAMPLES: usize = if cfg!(test) { 1 << 8 } else { 1 << 14 };
+/// Datagrams that are read from the port beside before it is the returns' turn again.
+const BESIDE: usize = 64;
 
 /// The address of `udp://HOST:PORT`; `None` for a path.
 pub(crate) fn address(path: &Path) -> Option<&str> {
@@ -47,6 +57,7 @@ struct Shared {
 #[derive(Default)]
 struct State {
     newest: Option<Sweep>,
+    imu: VecDeque<ImuSample>,
     is_over: bool,
     is_unwanted: bool,
 }
@@ -78,6 +89,10 @@ impl Udp {
                 "is a sensor that sends now: there are no poses for it, it is tracked by odometry",
             ));
         }
+        let (address, port_beside) = match address.split_once(',') {
+            Some((address, port)) => (address, Some(port)),
+            None => (address, None),
+        };
         let socket = bind(&name, address)?;
         let told = match options.sensors.as_slice() {
             [] => None,
@@ -139,17 +154,30 @@ impl Udp {
         };
         let mut notes = vec![format!("{} packets come from {from}", sensor.name)];
         notes.extend(decoder.notes());
-        let (shared, news) = (Arc::new(Shared::default()), News::default());
         let to = socket.local_addr().map_err(Error::io(&name))?;
-        let packets = Arc::new(Packets::new(&name, [from, to]));
+        let usual = usual_port_beside(model, &calibration).filter(|&port| port != to.port());
+        let beside = match (port_beside, usual) {
+            (Some(port), _) => Some(bind_beside(&name, address, port)?),
+            (None, Some(port)) => bind_beside(&name, address, &port.to_string())
+                .map_err(|reason| notes.push(format!("what comes beside the returns is left out: {reason}")))
+                .ok(),
+            (None, None) => None,
+        };
+        let (shared, news) = (Arc::new(Shared::default()), News::default());
+        let packets = Arc::new(Packets::new(&name));
         let receiver = Receiver {
             name: name.clone(),
             socket,
+            to,
+            beside,
             sender: from,
+            body_from_sensor: sensor.body_from_sensor.rotation,
             decoder,
             shared: shared.clone(),
             packets: packets.clone(),
             news: news.clone(),
+            waiting: None,
+            measured_ns: None,
             sweeps: 0,
             skipped: 0,
             bad: 0,
@@ -168,6 +196,23 @@ impl Udp {
             sweeps: 0,
         })
     }
+}
+
+/// Where a sensor sends what is not of returns, unless that is told.
+fn usual_port_beside(model: Model, calibration: &Calibration) -> Option<u16> {
+    match calibration {
+        Calibration::Ouster(metadata) => Some(metadata.imu_port.unwrap_or(7503)),
+        _ => (model.maker() == Maker::Velodyne).then_some(8308),
+    }
+}
+
+/// Binds to another port of an address, without waiting for what comes there.
+fn bind_beside(name: &str, address: &str, port: &str) -> Result<(UdpSocket, SocketAddr)> {
+    let host = address.rsplit_once(':').map_or("", |(host, _)| host);
+    let socket = bind(name, &format!("{host}:{port}"))?;
+    socket.set_nonblocking(true).map_err(Error::io(name))?;
+    let to = socket.local_addr().map_err(Error::io(name))?;
+    Ok((socket, to))
 }
 
 fn bind(name: &str, address: &str) -> Result<UdpSocket> {
@@ -212,11 +257,18 @@ fn receive(name: &str, socket: &UdpSocket, buffer: &mut [u8]) -> Result<Option<(
 struct Receiver {
     name: String,
     socket: UdpSocket,
+    to: SocketAddr,
+    /// Where positions and samples come, and its address.
+    beside: Option<(UdpSocket, SocketAddr)>,
     sender: SocketAddr,
+    body_from_sensor: DQuat,
     decoder: Decoder,
     shared: Arc<Shared>,
     packets: Arc<Packets>,
     news: News,
+    /// A sweep that waits for samples, and the time of the newest one.
+    waiting: Option<Sweep>,
+    measured_ns: Option<i64>,
     sweeps: u64,
     skipped: u64,
     bad: u64,
@@ -224,7 +276,7 @@ struct Receiver {
 
 impl Receiver {
     fn run(mut self, first: &[u8], mut buffer: Vec<u8>) {
-        self.take(first);
+        self.take([self.sender, self.to], first);
         let mut last = Instant::now();
         while !self.shared.lock().is_unwanted && last.elapsed().as_secs() < SILENCE_SECS {
             match receive(&self.name, &self.socket, &mut buffer) {
@@ -232,8 +284,8 @@ impl Receiver {
                 Ok(Some((length, from))) => {
                     if from == self.sender {
                         last = Instant::now();
-                        self.take(&buffer[..length]);
                     }
+                    self.take([from, self.to], &buffer[..length]);
                 }
                 Err(reason) => {
                     self.news
@@ -243,29 +295,80 @@ impl Receiver {
                     break;
                 }
             }
+            for _ in 0..BESIDE {
+                let Some((socket, to)) = &self.beside else { break };
+                let Ok(Some((length, from))) = receive(&self.name, socket, &mut buffer) else {
+                    break;
+                };
+                self.take([from, *to], &buffer[..length]);
+            }
         }
         let sweep = self.decoder.finish();
-        self.give(sweep);
+        self.hold(sweep);
+        self.give();
         self.tell();
         self.shared.lock().is_over = true;
         self.shared.changed.notify_all();
     }
 
-    fn take(&mut self, packet: &[u8]) {
+    /// Takes what came: returns from the sender's port, samples and positions from any port of it.
+    fn take(&mut self, ends: [SocketAddr; 2], packet: &[u8]) {
+        let is_sender = ends[0] == self.sender;
+        if ends[0].ip() != self.sender.ip() {
+            return;
+        }
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let received_ns = i64::try_from(now.as_nanos()).unwrap_or(i64::MAX);
-        self.packets.take(received_ns, packet);
-        match self.decoder.push(received_ns, packet) {
-            Ok(sweep) => self.give(sweep),
-            Err(_) => self.bad += 1,
+        let samples = self.decoder.imu(received_ns, packet);
+        let is_beside = !samples.is_empty() || self.decoder.position(received_ns, packet).is_some();
+        if is_sender || is_beside {
+            self.packets.take(received_ns, ends, packet);
+        }
+        self.measure(samples);
+        if is_sender {
+            match self.decoder.push(received_ns, packet) {
+                Ok(sweep) => self.hold(sweep),
+                Err(_) => self.bad += 1,
+            }
+        }
+        if self
+            .waiting
+            .as_ref()
+            .is_some_and(|sweep| self.measured_ns.is_none_or(|ns| ns >= end_ns(sweep)))
+        {
+            self.give();
         }
     }
 
-    /// Puts a sweep where the reader finds it; the first and the last one only if they are not mostly missing.
-    fn give(&mut self, sweep: Option<Sweep>) {
+    fn measure(&mut self, samples: Vec<ImuSample>) {
+        let Some(newest) = samples.last() else { return };
+        self.measured_ns = Some(newest.time_ns);
+        let mut state = self.shared.lock();
+        state.imu.extend(samples.into_iter().map(|sample| ImuSample {
+            angular_velocity: self.body_from_sensor * sample.angular_velocity,
+            acceleration: self.body_from_sensor * sample.acceleration,
+            ..sample
+        }));
+        let old = state.imu.len().saturating_sub(MAX_SAMPLES);
+        state.imu.drain(..old);
+    }
+
+    /// Keeps a sweep until its samples are there, or the next sweep is; the first and the last one only if they are not mostly missing.
+    fn hold(&mut self, sweep: Option<Sweep>) {
         let Some(sweep) = sweep.filter(|sweep| sweep.is_whole || sweep.turn > 0.25) else {
             return;
         };
+        if self.waiting.is_some() {
+            // No samples come any more.
+            self.measured_ns = None;
+            self.give();
+        }
+        self.waiting = Some(sweep);
+    }
+
+    /// Puts the sweep that waits where the reader finds it.
+    fn give(&mut self) {
+        let Some(sweep) = self.waiting.take() else { return };
         self.sweeps += 1;
         let before = self.shared.lock().newest.replace(sweep);
         self.skipped += u64::from(before.is_some());
@@ -293,6 +396,12 @@ impl Receiver {
         }
         *self.news.lock().unwrap_or_else(PoisonError::into_inner) = news;
     }
+}
+
+/// The time of a sweep's last return, nanoseconds on the sensor's clock.
+fn end_ns(sweep: &Sweep) -> i64 {
+    let times = sweep.scan.times.iter().flatten().copied();
+    ns_after(sweep.scan.time_ns.unwrap_or(0), f64::from(times.fold(0.0, f32::max)))
 }
 
 impl Stream for Udp {
@@ -323,6 +432,10 @@ impl Stream for Udp {
             sensor: 0,
             scan: Ok(scan),
         })
+    }
+
+    fn imu(&mut self) -> Vec<ImuSample> {
+        self.shared.lock().imu.drain(..).collect()
     }
 
     fn notes(&self) -> &[String] {

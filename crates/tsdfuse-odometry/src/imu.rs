@@ -363,7 +363,11 @@ impl Inertial {
             Some(_) if is_position_known => self.learn_force(last, end, predicted[2]),
             Some(_) => {}
         }
-        let old = self.samples.partition_point(|sample| sample.secs < last.secs - 1.0);
+    }
+
+    /// Forgets samples that nothing after this moment is predicted from.
+    pub(crate) fn forget(&mut self, secs: f64) {
+        let old = self.samples.partition_point(|sample| sample.secs < secs - 1.0);
         self.samples.drain(..old);
     }
 

@@ -320,6 +320,10 @@ impl Tracker {
     /// Takes the next scan, without invalid returns; its own pose is not looked at.
     pub fn push(&mut self, scan: Scan) {
         let sampled = self.sampling.sample(&scan);
+        if let (None, Some(time_ns)) = (&self.first, scan.time_ns) {
+            let begin = secs_between(0, time_ns) + sampled.span.0;
+            self.imu.forget(self.last.as_ref().map_or(begin, |last| last.end));
+        }
         if sampled.sparse.len() < LEAST_RETURNS {
             return self.place_blind(scan, &sampled);
         }
@@ -394,6 +398,8 @@ impl Tracker {
             return None;
         }
         let mut tracked = self.ready.pop_front()?;
+        // Samples that come later do not turn the world any more.
+        self.levelled = Some(level);
         if level != DQuat::IDENTITY {
             tracked.moved(&Pose {
                 rotation: level,

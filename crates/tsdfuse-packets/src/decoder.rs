@@ -38,8 +38,8 @@ pub(crate) trait Packets: Send + Sync {
     /// What is odd, one sentence each.
     fn notes(&self) -> Vec<String>;
 
-    /// Samples of the inertial measurement unit, where a packet has some.
-    fn imu(&self, _payload: &[u8]) -> Vec<ImuSample> {
+    /// Samples of the inertial measurement unit, where a packet has some. `near_ns` as in [`head`](Self::head).
+    fn imu(&self, _near_ns: i64, _payload: &[u8]) -> Vec<ImuSample> {
         Vec::new()
     }
 
@@ -206,9 +206,10 @@ impl Decoder {
         self.packets.notes()
     }
 
-    /// Samples of the sensor's inertial measurement unit, if the packet has some: in its own packets, as Ouster sends them.
-    pub fn imu(&self, payload: &[u8]) -> Vec<ImuSample> {
-        self.packets.imu(payload)
+    /// Samples of the sensor's inertial measurement unit, in the sensor's frame, if the packet has some: in its own packets, as Ouster sends them, or
+    /// beside a position, as an HDL-32E does.
+    pub fn imu(&self, received_ns: i64, payload: &[u8]) -> Vec<ImuSample> {
+        self.packets.imu(self.near_ns(received_ns), payload)
     }
 
     /// What a GNSS receiver at the sensor told, if the packet passes that on: in its own packets, as Velodyne sends them. A place is told again in every

@@ -56,7 +56,10 @@ pub fn packets(bytes: &[u8]) {
             sweeps.extend(decoder.push(received_ns, bytes).ok().flatten());
         }
         sweeps.extend(decoder.finish());
-        assert!(decoder.imu(bytes).len() <= bytes.len() / 36, "no more than was there");
+        for received_ns in [0, i64::MAX, i64::MIN] {
+            let samples = decoder.imu(received_ns, bytes);
+            assert!(samples.len() <= bytes.len() / 36, "no more than was there");
+        }
         for sweep in sweeps {
             assert!(sweep.scan.check().is_ok(), "columns fit together");
             assert!(sweep.scan.points.len() <= 4 * bytes.len(), "no more than was there");

@@ -219,7 +219,7 @@ impl Packets for Ouster {
         self.metadata.notes.clone()
     }
 
-    fn imu(&self, payload: &[u8]) -> Vec<ImuSample> {
+    fn imu(&self, _near_ns: i64, payload: &[u8]) -> Vec<ImuSample> {
         self.metadata.imu.samples(payload, &self.metadata.sensor_from_imu)
     }
 }

@@ -1,4 +1,5 @@
-//! Velodyne: 1206 bytes of 12 blocks, each with an azimuth and 32 returns; 512 bytes with what a GNSS receiver told.
+//! Velodyne: 1206 bytes of 12 blocks, each with an azimuth and 32 returns; 512 bytes with what a GNSS receiver told,
+//! and an HDL-32E's gyroscopes and accelerometers.
 //!
 //! Layouts, firing times and angles are those of the makers' manuals. Points are computed as the ROS drivers of these sensors
 //! do (`velodyne_pointcloud`, nebula), against whose output they are tested:
@@ -10,12 +11,13 @@
 //! | HDL-64E | its block's |
 
 mod calibration;
+mod imu;
 mod nominal;
 
 use std::ops::Range;
 
-use tsdfuse::SensorModel;
 use tsdfuse::glam::Vec3;
+use tsdfuse::{ImuSample, SensorModel};
 
 pub use calibration::{Calibration, Laser};
 pub(crate) use calibration::{parse_xml, parse_yaml};
@@ -378,6 +380,13 @@ impl Packets for Velodyne {
 
     fn notes(&self) -> Vec<String> {
         Vec::from_iter(self.is_nominal.then(|| self.sensor.nominal_note()))
+    }
+
+    fn imu(&self, near_ns: i64, payload: &[u8]) -> Vec<ImuSample> {
+        if self.sensor != Sensor::Hdl32e || payload.len() != POSITION {
+            return Vec::new();
+        }
+        Vec::from_iter(imu::sample(in_hour(u32_at(payload, SENT), near_ns), payload))
     }
 
     fn position(&mut self, near_ns: i64, payload: &[u8]) -> Option<Position> {

@@ -566,6 +566,7 @@ impl Session {
             index: self.checkpoint.done,
             sensor,
             scan: Ok(scan),
+            imu: Vec::new(),
             read_secs: 0.0,
         };
         self.fuse_read(read, None, 0.0, observer)

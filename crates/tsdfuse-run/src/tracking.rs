@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde::Serialize;
+use tsdfuse::glam::DQuat;
 use tsdfuse::mesh;
 use tsdfuse::scan::RangeLimits;
 use tsdfuse::sensor::SensorCorrection;
@@ -28,6 +29,7 @@ use crate::report::OdometryReport;
 /// Scans on their way through the tracker.
 pub(crate) struct Tracking {
     tracker: Tracker,
+    sensor_from_body: DQuat,
     /// What was read with the scans that are not placed yet, which the tracker has.
     waiting: VecDeque<ReadScan>,
     limits: RangeLimits,
@@ -77,22 +79,29 @@ impl Tracking {
         Self::with(log, tracker, config, limits)
     }
 
-    fn with(log: &Log, mut tracker: Tracker, config: OdometryConfig, limits: RangeLimits) -> Result<Self> {
+    fn with(log: &Log, tracker: Tracker, config: OdometryConfig, limits: RangeLimits) -> Result<Self> {
         check(log)?;
-        if config.imu {
-            let sensor_from_body = log.sensors()[0].body_from_sensor.rotation.inverse();
-            tracker.push_imu(log.imu()?.into_iter().map(|sample| ImuSample {
-                angular_velocity: sensor_from_body * sample.angular_velocity,
-                acceleration: sensor_from_body * sample.acceleration,
-                ..sample
-            }));
-        }
-        Ok(Self {
+        let mut tracking = Self {
             tracker,
+            sensor_from_body: log.sensors()[0].body_from_sensor.rotation.inverse(),
             waiting: VecDeque::new(),
             limits,
             seconds: 0.0,
-        })
+        };
+        if config.imu {
+            tracking.push_imu(log.imu()?);
+        }
+        Ok(tracking)
+    }
+
+    /// Takes samples in the log's body frame.
+    fn push_imu(&mut self, samples: Vec<ImuSample>) {
+        let sensor_from_body = self.sensor_from_body;
+        self.tracker.push_imu(samples.into_iter().map(|sample| ImuSample {
+            angular_velocity: sensor_from_body * sample.angular_velocity,
+            acceleration: sensor_from_body * sample.acceleration,
+            ..sample
+        }));
     }
 
     /// Pieces of the trajectory that have nothing to do with each other.
@@ -108,6 +117,7 @@ impl Tracking {
     /// Takes a scan; those that are placed come out, in order. Scans that could not be read come out at once.
     pub(crate) fn push(&mut self, mut read: ReadScan) -> Vec<(ReadScan, Option<Quality>)> {
         let start = Instant::now();
+        self.push_imu(std::mem::take(&mut read.imu));
         let placed = match &mut read.scan {
             Ok(scan) => {
                 scan.drop_invalid(&self.limits);

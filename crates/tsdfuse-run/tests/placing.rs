@@ -5,10 +5,13 @@
 use std::path::{Path, PathBuf};
 
 use tsdfuse::glam::{DQuat, DVec3};
-use tsdfuse::{Pose, Scan};
-use tsdfuse_io::map_file;
+use tsdfuse::scan::RangeLimits;
+use tsdfuse::{ImuSample, Pose, Scan};
 use tsdfuse_io::plain::Writer;
-use tsdfuse_run::{Event, Input, Job, Outputs, PosesFrom, Report, RunError, Settings, Silent, Stop};
+use tsdfuse_io::{Log, Selection, Sensor, Stream, StreamedScan, map_file};
+use tsdfuse_run::{
+    Event, Input, Job, OdometryConfig, Outputs, PosesFrom, Report, RunError, Settings, Silent, Stop, Track,
+};
 use tsdfuse_sim::{Simulator, SimulatorConfig, path, scene};
 
 /// The true scans of a drive along a street.
@@ -147,4 +150,92 @@ fn a_log_without_poses_goes_on_in_a_map_where_it_belongs() {
     };
     let told = run(&given).unwrap_err().to_string();
     assert!(told.contains("--initial-pose"), "{told}");
+}
+
+/// Each 5 ms of a drive, how fast a sensor turns that turns steadily from scan to scan, and gravity.
+fn imu(scans: &[Scan]) -> Vec<ImuSample> {
+    let sample = |pair: &[Scan], step: i64| {
+        let [a, b] = [&pair[0], &pair[1]].map(|scan| (scan.pose.unwrap().rotation, scan.time_ns.unwrap()));
+        ImuSample {
+            time_ns: a.1 + step * 5_000_000,
+            angular_velocity: (a.0.conjugate() * b.0).to_scaled_axis() / (1e-9 * (b.1 - a.1) as f64),
+            acceleration: a.0.conjugate() * (DVec3::Z * 9.806_65),
+            orientation: None,
+        }
+    };
+    let pairs = scans.windows(2);
+    pairs
+        .flat_map(|pair| (0..20).map(move |step| sample(pair, step)))
+        .collect()
+}
+
+/// A log that comes scan by scan, each with the samples until it is complete.
+struct Replayed {
+    log: Log,
+    next: usize,
+    imu: Vec<ImuSample>,
+}
+
+impl Stream for Replayed {
+    fn format(&self) -> &str {
+        "replayed"
+    }
+
+    fn sensors(&self) -> &[Sensor] {
+        self.log.sensors()
+    }
+
+    fn next(&mut self) -> Option<StreamedScan> {
+        let index = self.next;
+        self.next += 1;
+        (index < self.log.scans().len()).then(|| StreamedScan {
+            sensor: 0,
+            scan: self.log.read(index),
+        })
+    }
+
+    fn imu(&mut self) -> Vec<ImuSample> {
+        let until_ns = self.log.scans()[self.next - 1].time_ns.unwrap() + 105_000_000;
+        let come = self.imu.partition_point(|sample| sample.time_ns <= until_ns);
+        self.imu.drain(..come).collect()
+    }
+
+    fn is_placed(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn samples_that_come_with_a_stream_place_its_scans_as_those_of_a_log() {
+    let dir = tempfile::tempdir().unwrap();
+    let scans = street(30);
+    let mut writer = Writer::create(dir.path()).unwrap();
+    writer.write_imu(&imu(&scans)).unwrap();
+    for scan in &scans {
+        writer
+            .write_scan(&Scan {
+                pose: None,
+                ..scan.clone()
+            })
+            .unwrap();
+    }
+    writer.finish().unwrap();
+    let log = tsdfuse_io::open(dir.path()).unwrap();
+    let tracked = |log: &Log| -> Track {
+        let (config, limits) = (OdometryConfig::default(), RangeLimits::default());
+        tsdfuse_run::track(log, &Selection::default(), config, None, limits, &Stop::default()).unwrap()
+    };
+    let streamed = |imu: Vec<ImuSample>| {
+        let (log, next) = (log.clone(), 0);
+        tracked(&Log::of_stream(Replayed { log, next, imu }))
+    };
+    let poses = |track: &Track| track.scans.iter().map(|scan| scan.pose).collect::<Vec<_>>();
+    let (whole, stream) = (tracked(&log), streamed(log.imu().unwrap()));
+    let [told, again] = [&whole, &stream].map(|track| track.imu.clone().unwrap().predicted);
+    assert_eq!(told, again);
+    assert!(told[0] + told[1] > 10, "{told:?}");
+    assert_eq!(poses(&whole), poses(&stream));
+    // Those of no IMU are others.
+    let without = streamed(Vec::new());
+    assert!(without.imu.is_none() && poses(&without) != poses(&whole));
 }

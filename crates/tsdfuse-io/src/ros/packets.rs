@@ -252,7 +252,7 @@ impl PacketSweeps {
         for entry in bag.entries(channel) {
             with_message(bag, channel, schema, entry, |message| {
                 let packets = payloads(message, entry.time_ns)?.into_iter();
-                samples.extend(packets.flat_map(|(_, payload)| decoder.imu(payload)));
+                samples.extend(packets.flat_map(|(received_ns, payload)| decoder.imu(received_ns, payload)));
                 Ok(())
             })?;
         }

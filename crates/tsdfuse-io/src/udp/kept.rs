@@ -22,8 +22,6 @@ const LOCK: &str = "lock";
 pub(super) struct Packets {
     /// Of the stream.
     name: String,
-    /// Sender and receiver.
-    ends: [SocketAddr; 2],
     state: Mutex<State>,
 }
 
@@ -57,10 +55,9 @@ impl Folder {
 }
 
 impl Packets {
-    pub(super) fn new(name: &str, ends: [SocketAddr; 2]) -> Self {
+    pub(super) fn new(name: &str) -> Self {
         Self {
             name: name.to_owned(),
-            ends,
             state: Mutex::new(State::Unwanted),
         }
     }
@@ -69,11 +66,11 @@ impl Packets {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a datagram of the sensor.
-    pub(super) fn take(&self, received_ns: i64, payload: &[u8]) {
+    /// Takes a datagram that the sensor sent from one address to the other.
+    pub(super) fn take(&self, received_ns: i64, ends: [SocketAddr; 2], payload: &[u8]) {
         let mut state = self.lock();
         if let State::Growing(file, folder) = &mut *state
-            && let Err(error) = writer::append(file, received_ns, self.ends, payload)
+            && let Err(error) = writer::append(file, received_ns, ends, payload)
         {
             let reason = format!("{}: {error}", folder.capture().display());
             *state = State::Failed(error.kind(), reason);
@@ -134,8 +131,7 @@ mod tests {
     use super::*;
 
     fn packets() -> Packets {
-        let ends = ["127.0.0.1:2000", "127.0.0.1:2368"].map(|end| end.parse().unwrap());
-        Packets::new("udp://:2368", ends)
+        Packets::new("udp://:2368")
     }
 
     fn left(parent: &Path) -> usize {
@@ -169,7 +165,8 @@ mod tests {
         if let State::Growing(file, folder) = &mut *packets.lock() {
             *file = File::open(folder.capture()).unwrap();
         }
-        packets.take(0, &[1; 1206]);
+        let ends = ["127.0.0.1:2000", "127.0.0.1:2368"].map(|end| end.parse().unwrap());
+        packets.take(0, ends, &[1; 1206]);
         assert_eq!(left(parent.path()), 0);
         let told = packets.recording().unwrap_err().to_string();
         assert!(

@@ -16,6 +16,47 @@ fn vlp16(i: u32) -> Vec<u8> {
     packet
 }
 
+/// The same of an HDL-32E.
+fn hdl32e(i: u32) -> Vec<u8> {
+    let mut packet = vlp16(i);
+    packet[1205] = 0x21;
+    packet
+}
+
+/// Its packet of a position that is sent at the same time as packet `i` of returns: it turns left at i counts.
+fn position(i: u32) -> Vec<u8> {
+    let mut packet = vec![0; 512];
+    packet[30..32].copy_from_slice(&(i as u16).to_le_bytes());
+    // Gravity, along the first axis of two accelerometers.
+    for at in [18, 26] {
+        packet[at..at + 2].copy_from_slice(&819_u16.to_le_bytes());
+    }
+    packet[198..202].copy_from_slice(&(i * 1327).to_le_bytes());
+    let text = format!(
+        "GPRMC,0000{:05.2},A,3630.0,N,00224.0,W,0.0,0.0,010170,,",
+        f64::from(i / 75) / 10.0
+    );
+    let sum = text.bytes().fold(0, |sum, byte| sum ^ byte);
+    let sentence = format!("${text}*{sum:02X}\r\n");
+    packet[206..206 + sentence.len()].copy_from_slice(sentence.as_bytes());
+    packet
+}
+
+/// Sends packets of returns to the first port, a packet of a position to the second one with every fourth.
+fn send_both(ports: [u16; 2], numbers: std::ops::Range<u32>, pause: Duration) -> thread::JoinHandle<()> {
+    thread::spawn(move || {
+        let [returns, beside] = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").unwrap());
+        thread::sleep(Duration::from_millis(200));
+        for number in numbers {
+            returns.send_to(&hdl32e(number), ("127.0.0.1", ports[0])).unwrap();
+            if number % 4 == 0 {
+                beside.send_to(&position(number), ("127.0.0.1", ports[1])).unwrap();
+            }
+            thread::sleep(pause);
+        }
+    })
+}
+
 fn free_port() -> u16 {
     UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
@@ -34,11 +75,15 @@ fn send(port: u16, numbers: impl Iterator<Item = u32> + Send + 'static, pause: D
 }
 
 fn opened(port: u16, sensors: &[&str]) -> Log {
+    opened_at(&format!("127.0.0.1:{port}"), sensors)
+}
+
+fn opened_at(address: &str, sensors: &[&str]) -> Log {
     let options = OpenOptions {
         sensors: sensors.iter().map(ToString::to_string).collect(),
         ..OpenOptions::default()
     };
-    crate::open_with(format!("udp://127.0.0.1:{port}"), &options).unwrap()
+    crate::open_with(format!("udp://{address}"), &options).unwrap()
 }
 
 #[test]
@@ -94,6 +139,82 @@ fn what_is_kept_is_read_again_bit_for_bit() {
     // Though somebody waits for more.
     drop((log, scans));
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn samples_come_with_the_sweeps_in_whose_time_they_are_and_fixes_are_kept() {
+    let ports = [free_port(), free_port()];
+    let sender = send_both(ports, 0..300, Duration::from_micros(300));
+    let log = opened_at(&format!("127.0.0.1:{},{}", ports[0], ports[1]), &[]);
+    let folder = tempfile::tempdir().unwrap();
+    assert!(log.keep(folder.path()).unwrap());
+    let scans: Vec<_> = log.read_ahead(&Selection::default()).collect();
+    sender.join().unwrap();
+    let mut samples: Vec<ImuSample> = Vec::new();
+    for read in &scans {
+        samples.extend(&read.imu);
+        // The last sweep waits for samples in vain.
+        let scan = read.scan.as_ref().unwrap();
+        let last = scan.times.as_ref().unwrap().iter().copied().fold(0.0, f32::max);
+        let end_ns = ns_after(scan.time_ns.unwrap(), last.into());
+        assert!(
+            read.index == 3 || samples.last().unwrap().time_ns >= end_ns,
+            "{}",
+            read.index
+        );
+    }
+    assert!(scans.len() >= 4 && samples.is_sorted_by_key(|sample| sample.time_ns));
+    for sample in &samples {
+        let i = (sample.time_ns - samples[0].time_ns) as f64 / 1.327e6
+            + samples[0].angular_velocity.z.to_degrees() / 0.097_66;
+        assert!(
+            (sample.angular_velocity.z.to_degrees() / 0.097_66 - i).abs() < 1e-6,
+            "{sample:?}"
+        );
+        assert!((sample.acceleration.z - 9.806_65).abs() < 0.01, "{sample:?}");
+    }
+    // What was kept tells the same, but for what came before.
+    let recording = log.recording().unwrap();
+    let again = recording.imu().unwrap();
+    assert!(
+        again.len() > 60 && samples.ends_with(&again),
+        "{} {}",
+        again.len(),
+        samples.len()
+    );
+    assert!(recording.gnss().unwrap().len() >= 2, "{:?}", recording.notes());
+    assert_eq!(log.news().len(), 1, "{:?}", log.news());
+}
+
+#[test]
+fn samples_that_nobody_asks_for_are_forgotten() {
+    let ports = [free_port(), free_port()];
+    let sender = send_both(ports, 0..75 * 24, Duration::from_micros(200));
+    let log = opened_at(&format!("127.0.0.1:{},{}", ports[0], ports[1]), &[]);
+    let mut scans = log.read_ahead(&Selection::default());
+    let first = scans.next().unwrap();
+    sender.join().unwrap();
+    let mut last = first.imu.last().unwrap().time_ns;
+    let mut gaps = 0;
+    for read in scans {
+        assert!(read.imu.len() <= MAX_SAMPLES, "{}", read.imu.len());
+        for sample in &read.imu {
+            gaps += usize::from(sample.time_ns - last > 50_000_000);
+            last = sample.time_ns;
+        }
+    }
+    assert_eq!(gaps, 1, "the oldest ones are missing");
+}
+
+#[test]
+fn a_port_beside_that_cannot_be_had_is_told() {
+    let ports = [free_port(), free_port()];
+    let _held = UdpSocket::bind(("127.0.0.1", ports[1])).unwrap();
+    let sender = send(ports[0], 0..100, Duration::from_micros(100));
+    let address = format!("udp://127.0.0.1:{},{}", ports[0], ports[1]);
+    let told = crate::open(&address).unwrap_err().to_string();
+    assert!(told.starts_with(&format!("{address}: ")), "{told}");
+    sender.join().unwrap();
 }
 
 #[test]

@@ -171,7 +171,7 @@ fn newer_packets_of_the_imu_hold_many_samples() {
         packet.extend(numbers.iter().flat_map(|v: &f32| v.to_le_bytes()));
     }
     packet.extend([0; 32]);
-    let samples = decoder.imu(&packet);
+    let samples = decoder.imu(0, &packet);
     assert_eq!(samples.len(), 7);
     assert_eq!(samples[6].time_ns, 1_008_750_000);
     let turned = DVec3::new(0.0, 0.5, f64::from(9.806_65_f32));
@@ -185,8 +185,8 @@ fn newer_packets_of_the_imu_hold_many_samples() {
     // It holds no returns, and neither do packets of zones.
     assert!(decoder.push(0, &packet).unwrap().is_none());
     assert_eq!(decoder.counts().packets, 0);
-    assert!(decoder.imu(&packet[1..]).is_empty() && self::decoder(FINE).imu(&packet).is_empty());
-    assert!(decoder.imu(&[0; 48]).is_empty());
+    assert!(decoder.imu(0, &packet[1..]).is_empty() && self::decoder(FINE).imu(0, &packet).is_empty());
+    assert!(decoder.imu(0, &[0; 48]).is_empty());
 }
 
 /// Headers for functional safety count frames with 32 bits elsewhere, in whatever profile.

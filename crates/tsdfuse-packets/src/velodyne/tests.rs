@@ -1,3 +1,5 @@
+use tsdfuse::glam::DVec3;
+
 use super::*;
 use crate::{Calibration as Any, Decoder};
 
@@ -142,6 +144,68 @@ fn a_place_is_told_once_at_the_time_at_which_it_was_measured() {
         panic!("a new place");
     };
     assert_eq!(time_ns, hour_ns + 900_000_000);
+}
+
+/// The position packet of an HDL-32E that is turned and accelerated so (rad/s, m/s², sensor frame), written side by side: each side's gyroscope counts
+/// clockwise about the cross product of its accelerometers' axes.
+fn moved(micros: u32, rates: DVec3, force: DVec3, temperature: i16) -> Vec<u8> {
+    let sides = [(DVec3::Z, DVec3::Y), (DVec3::Z, -DVec3::X), (-DVec3::Y, -DVec3::X)];
+    let mut packet = vec![0; 14];
+    for (x, y) in sides {
+        let rate = -rates.dot(x.cross(y)).to_degrees() / 0.097_66;
+        let forces = [x, y].map(|axis| force.dot(axis) / 9.806_65 / 0.001_221);
+        let counts = [rate, f64::from(temperature), forces[0], forces[1]];
+        // What is above the twelve bits does not count.
+        packet.extend(
+            counts
+                .map(|count| (count.round() as i16 & 0xFFF) as u16 | 0xA000)
+                .map(u16::to_le_bytes)
+                .concat(),
+        );
+    }
+    packet.resize(198, 0);
+    packet.extend(micros.to_le_bytes());
+    packet.resize(512, 0);
+    packet
+}
+
+#[test]
+fn an_hdl_32e_tells_how_it_is_turned_and_accelerated() {
+    let decoder = Decoder::new(Sensor::Hdl32e, Any::Nominal).unwrap();
+    // A quarter of a second before the hour is full, received after it.
+    let hour_ns = 400_000 * HOUR_NS;
+    let (rates, force) = (DVec3::new(0.3, -0.7, 1.1), DVec3::new(1.5, -2.5, 9.5));
+    let packet = moved(3_599_750_000, rates, force, -300);
+    let [sample] = decoder.imu(hour_ns + 1_000_000, &packet)[..] else {
+        panic!("one sample");
+    };
+    assert_eq!((sample.time_ns, sample.orientation), (hour_ns - 250_000_000, None));
+    // Half a count, which the mean of two accelerometers does not make worse.
+    assert!(
+        sample
+            .angular_velocity
+            .abs_diff_eq(rates, 0.5001 * 0.097_66_f64.to_radians()),
+        "{sample:?}"
+    );
+    assert!(
+        sample.acceleration.abs_diff_eq(force, 0.5001 * 0.001_221 * 9.806_65),
+        "{sample:?}"
+    );
+    // The largest counts there are, of either sign.
+    for sign in [1.0, -1.0] {
+        let most = (2047.0 * 0.097_66_f64).to_radians() * sign;
+        let [sample] = decoder.imu(0, &moved(0, DVec3::splat(most), DVec3::ZERO, 0))[..] else {
+            panic!("one sample");
+        };
+        assert!(
+            sample.angular_velocity.abs_diff_eq(DVec3::splat(most), 1e-9),
+            "{sample:?}"
+        );
+    }
+    // Other sensors have none there, and a packet of another length is another one.
+    assert!(decoder.imu(0, &position(5, "")).is_empty() && decoder.imu(0, &packet[..511]).is_empty());
+    let vlp16 = Decoder::new(Sensor::Vlp16, Any::Nominal).unwrap();
+    assert!(vlp16.imu(0, &packet).is_empty());
 }
 
 #[test]

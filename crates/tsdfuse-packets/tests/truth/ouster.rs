@@ -31,7 +31,7 @@ fn sweeps(capture: &str, metadata: &str) -> Option<(Decoder, Vec<Sweep>, Vec<tsd
     let mut decoder = Decoder::new(Sensor::Ouster, Calibration::parse(&metadata).unwrap()).unwrap();
     let (mut sweeps, mut imu) = (Vec::new(), Vec::new());
     for (received_ns, payload) in datagrams(&std::fs::read(logs.join(capture)).unwrap()) {
-        imu.extend(decoder.imu(&payload));
+        imu.extend(decoder.imu(received_ns, &payload));
         if payload.len() != 48 {
             assert_eq!(Sensor::recognise(&payload), Some(Sensor::Ouster));
         }
