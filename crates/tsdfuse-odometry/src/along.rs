@@ -8,7 +8,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use crate::cells::{Cells, Plane};
+use crate::cells::{Cells, Plane, elevation_bit};
 use crate::motion::Motion;
 use crate::returns::{KERNEL, Return, kernel};
 use crate::sticking::{LEAST_SHARE, Remembered};
@@ -277,7 +277,7 @@ fn voted(
     let told = sticking.par_iter().with_min_len(8).map(|r| {
         let x = placer.place(r.point, r.share);
         Told {
-            planes: facing(cells, x, direction, reach),
+            planes: facing(cells, x, elevation_bit(r.point), direction, reach),
             marks: marks.beside(x, r, reach),
         }
     });
@@ -319,14 +319,16 @@ fn voted(
     })
 }
 
-/// How far planes lie from a point that face the direction, along it, and the standard deviation of that, metres.
-fn facing(cells: &Cells, x: DVec3, direction: DVec3, reach: f64) -> Vec<(f64, f64)> {
+/// How far planes lie from a point that face the direction, along it, and the standard deviation of that, metres. They must be planes without what was
+/// seen at the point's own elevation: a beam meets any surface at the same distance again and again.
+fn facing(cells: &Cells, x: DVec3, elevation: u64, direction: DVec3, reach: f64) -> Vec<(f64, f64)> {
     let mut found: Vec<(f64, f64)> = Vec::new();
-    cells.planes_along(x, direction, reach, |plane| {
+    cells.planes_along(x, direction, reach, elevation, |plane| {
         let shift = plane.distance_along(x, direction);
         let there = x + direction * shift;
+        let tells = || plane.faces(direction, LEAST_SHARE) && plane.is_wide() && plane.reaches(there);
         let is_known = || found.iter().any(|(known, _)| (known - shift).abs() < 1e-9);
-        if shift.abs() <= reach && plane.faces(direction, LEAST_SHARE) && plane.reaches(there) && !is_known() {
+        if shift.abs() <= reach && tells() && !is_known() {
             let (_, variance) = plane.residual(there);
             found.push((shift, variance.sqrt().max(VOTE_M) / plane.normal.dot(direction).abs()));
         }
