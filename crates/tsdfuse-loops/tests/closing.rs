@@ -204,12 +204,11 @@ fn rooms() -> Vec<DVec3> {
     }
     let mut x = 6.0;
     while x < 54.0 {
-        // As deep as the smallest cells that local maps fill: along the hall, only their sides tell where one is.
-        let y = if random.next() < 0.5 { -1.5 } else { 0.7 };
+        let y = if random.next() < 0.5 { -1.5 } else { 1.1 };
         body(
             &mut points,
             DVec3::new(x, y, 0.0),
-            DVec3::new(0.3 + random.next(), 0.8, 0.5 + 1.5 * random.next()),
+            DVec3::new(0.3 + random.next(), 0.4, 0.5 + 1.5 * random.next()),
         );
         x += 1.0 + 3.0 * random.next();
     }
