@@ -10,7 +10,7 @@ use tsdfuse_odometry::Quality;
 use crate::graph::{DOUBTFUL, Edge, PoseGraph, between, compounded};
 use crate::local_map::Gathered;
 use crate::places::{Found, Places};
-use crate::world::{Anchoring, Anchors, Fix, ScanAt, Way};
+use crate::world::{AGREES, Anchoring, Anchors, DRIFTS, Fix, ScanAt, Way};
 
 /// Options of loop closure. The defaults suit all rotating LiDARs, indoors and outdoors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -138,9 +138,8 @@ pub struct Closer {
     /// Blind motion since the frame of the last stretch, in the world.
     blind: Vec<(usize, DVec3)>,
     distrusted: usize,
-    /// Local maps when all of them were moved last, and whether no closure came since.
+    /// Local maps when all of them were moved last.
     optimized_nodes: usize,
-    is_optimized: bool,
     fixes: Vec<Fix>,
     samples: Vec<ImuSample>,
     anchoring: Option<Anchoring>,
@@ -164,7 +163,6 @@ impl Closer {
             blind: Vec::new(),
             distrusted: 0,
             optimized_nodes: 0,
-            is_optimized: true,
             fixes: Vec::new(),
             samples: Vec::new(),
             anchoring: None,
@@ -233,9 +231,7 @@ impl Closer {
         } else {
             0
         };
-        if !self.is_optimized {
-            self.optimize();
-        }
+        self.weigh();
         let nodes: Vec<usize> = self.graph_scans().collect();
         let way = Way {
             scans: &self.scans,
@@ -344,8 +340,16 @@ impl Closer {
         } else {
             found = self.places.find(&view, candidates.iter().map(|candidate| candidate.1));
         }
+        // A place that was found twice, from two guesses, says it once.
+        let mut places = Vec::new();
+        found.retain(|found| {
+            !found.is_weak && !places.contains(&found.place) && {
+                places.push(found.place);
+                true
+            }
+        });
         let mut closed = 0;
-        for found in found.into_iter().filter(|found| !found.is_weak) {
+        for found in found {
             let Some((_, place, expected, covariance, _)) = candidates.iter().find(|c| c.1 == found.place) else {
                 continue;
             };
@@ -391,18 +395,37 @@ impl Closer {
                 self.optimize();
             } else {
                 self.graph.settle_last();
-                self.is_optimized = false;
             }
         }
         closed
     }
 
-    fn optimize(&mut self) {
-        self.graph.optimize();
-        (self.optimized_nodes, self.is_optimized) = (self.graph.nodes.len(), true);
+    /// Moves all local maps; the sum of squared errors that is left, in standard deviations.
+    fn optimize(&mut self) -> f64 {
+        let cost = self.graph.optimize().cost;
+        self.optimized_nodes = self.graph.nodes.len();
         for (closure, &edge) in self.closures.iter_mut().zip(&self.edges) {
             closure.is_doubted = self.graph.edges[edge].squared_error(&self.graph.nodes) > DOUBTFUL;
         }
+        cost
+    }
+
+    /// Moves all local maps with the smallest share of odometry's stated drift with which the closures agree: they must not bend a trajectory that is
+    /// known better than they are.
+    fn weigh(&mut self) {
+        let stated: Vec<Edge> = self.graph.edges.clone();
+        let freedoms = 6.0 * self.edges.len() as f64;
+        for share in DRIFTS.into_iter().filter(|_| freedoms > 0.0) {
+            for (edge, stated) in self.graph.edges.iter_mut().zip(&stated) {
+                if !edge.is_closure {
+                    edge.information = stated.information * share.powi(-2);
+                }
+            }
+            if self.optimize() <= AGREES * freedoms {
+                break;
+            }
+        }
+        self.graph.edges = stated;
     }
 
     /// How many scans were pushed.

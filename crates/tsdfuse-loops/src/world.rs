@@ -17,10 +17,10 @@ use crate::graph::{DOUBTFUL, PoseGraph, Position, Upright};
 const LONGEST_GAP: f64 = 1.0;
 
 /// Shares of odometry's stated drift that are tried, the smallest first.
-const DRIFTS: [f64; 5] = [0.0625, 0.125, 0.25, 0.5, 1.0];
+pub(crate) const DRIFTS: [f64; 5] = [0.0625, 0.125, 0.25, 0.5, 1.0];
 
 /// What is measured agrees with the trajectory if its mean squared error, in standard deviations, is at most so many times the expected one.
-const AGREES: f64 = 1.2;
+pub(crate) const AGREES: f64 = 1.2;
 
 /// A bias is not larger than so many standard deviations: the trajectory is tilted.
 const MOST_BIAS: f64 = 3.0;

@@ -8,7 +8,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use crate::cells::{Cells, Plane};
+use crate::cells::{Cells, Plane, elevation_bit};
 use crate::motion::Motion;
 use crate::returns::{KERNEL, Return, kernel};
 use crate::sticking::{LEAST_SHARE, Remembered};
@@ -176,10 +176,10 @@ struct Vote {
     share: f64,
 }
 
-/// Where along a direction the returns put a sweep that stick out.
+/// Where along a direction the returns put a sweep that stick out; where nothing is `remembered`, the beams of returns mean nothing.
 pub(crate) fn sought_along(
     cells: &Cells,
-    remembered: &Remembered,
+    remembered: Option<&Remembered>,
     sticking: Vec<Return>,
     motion: &Motion,
     direction: DVec3,
@@ -264,7 +264,7 @@ impl Likely {
 /// The shift that explains what sticks out. `sigma` is how far the motion may be off.
 fn voted(
     cells: &Cells,
-    remembered: &Remembered,
+    remembered: Option<&Remembered>,
     sticking: &[Return],
     motion: &Motion,
     direction: DVec3,
@@ -273,11 +273,14 @@ fn voted(
     let (least, most) = REACH_M;
     let reach = (3.0 * sigma).clamp(least, most);
     let placer = motion.placer();
+    let nothing = Remembered::default();
+    let is_tracked = remembered.is_some();
+    let remembered = remembered.unwrap_or(&nothing);
     let marks = remembered.along(direction);
     let told = sticking.par_iter().with_min_len(8).map(|r| {
         let x = placer.place(r.point, r.share);
         Told {
-            planes: facing(cells, x, direction, reach),
+            planes: facing(cells, x, is_tracked.then(|| elevation_bit(r.point)), direction, reach),
             marks: marks.beside(x, r, reach),
         }
     });
@@ -319,14 +322,17 @@ fn voted(
     })
 }
 
-/// How far planes lie from a point that face the direction, along it, and the standard deviation of that, metres.
-fn facing(cells: &Cells, x: DVec3, direction: DVec3, reach: f64) -> Vec<(f64, f64)> {
+/// How far planes lie from a point that face the direction, along it, and the standard deviation of that, metres. If the point's elevation is known (as
+/// a bit), they must be wide, and planes without what was seen at it: a beam meets any surface at the same distance again and again.
+fn facing(cells: &Cells, x: DVec3, elevation: Option<u64>, direction: DVec3, reach: f64) -> Vec<(f64, f64)> {
     let mut found: Vec<(f64, f64)> = Vec::new();
-    cells.planes_along(x, direction, reach, |plane| {
+    cells.planes_along(x, direction, reach, elevation.unwrap_or(0), |plane| {
         let shift = plane.distance_along(x, direction);
         let there = x + direction * shift;
+        let tells =
+            || plane.faces(direction, LEAST_SHARE) && (elevation.is_none() || plane.is_wide()) && plane.reaches(there);
         let is_known = || found.iter().any(|(known, _)| (known - shift).abs() < 1e-9);
-        if shift.abs() <= reach && plane.faces(direction, LEAST_SHARE) && plane.reaches(there) && !is_known() {
+        if shift.abs() <= reach && tells() && !is_known() {
             let (_, variance) = plane.residual(there);
             found.push((shift, variance.sqrt().max(VOTE_M) / plane.normal.dot(direction).abs()));
         }

@@ -4,9 +4,8 @@
 //! what is left. The distance of returns from what the other scans saw, with poses that were refined under the same correction, has its
 //! minimum where the correction is right. (The share of returns that match has no such maximum: where scans disagree, more is tolerated.)
 
-use glam::{DQuat, DVec3, EulerRot};
+use tsdfuse::Scan;
 use tsdfuse::sensor::SensorCorrection;
-use tsdfuse::{Pose, Scan};
 
 use crate::refiner::Refiner;
 use crate::tracker::OdometryConfig;
@@ -53,8 +52,6 @@ const GAIN: f64 = 0.05;
 ///
 /// Some 30 scans tell; each trial takes as long as two rounds of refining them, and five trials tell of most sensors that there are none.
 pub fn shared_errors(scans: &[Scan], config: OdometryConfig) -> Option<SensorCorrection> {
-    let turned: Vec<Scan> = scans.iter().map(turned).collect();
-    let scans = &turned;
     let mut found = SensorCorrection::default();
     let mut distances_of_found = distances(scans, &found, config);
     for (round, Axis { step, least, of }) in AXES.into_iter().enumerate() {
@@ -98,19 +95,6 @@ pub fn shared_errors(scans: &[Scan], config: OdometryConfig) -> Option<SensorCor
         }
     }
     (!found.is_none()).then_some(found)
-}
-
-/// The scan in a world that is turned, so that walls cross the cells obliquely. Planes along the sides of cells lose points to the cells beside
-/// them, so a correction that moves walls away from there would seem to be right.
-fn turned(scan: &Scan) -> Scan {
-    let turn = Pose {
-        rotation: DQuat::from_euler(EulerRot::XYZ, 0.4, 0.5, 0.6),
-        translation: DVec3::ZERO,
-    };
-    let mut scan = scan.clone();
-    scan.pose = scan.pose.map(|pose| turn * pose);
-    scan.motion.iter_mut().for_each(|at| at.pose = turn * at.pose);
-    scan
 }
 
 /// For each scan, the mean distance of its returns from what the others saw, metres, with this correction.

@@ -402,9 +402,10 @@ pub(crate) fn register(cells: &Cells, returns: &[Return], dense: &[Return], prio
             let drift = prior.drift(direction);
             // What errors of normals have moved along it so far does not count.
             motion = motion.as_along(&expected, direction);
-            let (sticking, remembered) = match &prior.remembered {
-                Some(remembered) => (sticking_out(cells, dense, &motion, direction), remembered),
-                None => (dense.to_vec(), &Remembered::default()),
+            let remembered = prior.remembered.as_ref();
+            let sticking = match remembered {
+                Some(_) => sticking_out(cells, dense, &motion, direction),
+                None => dense.to_vec(),
             };
             let sought = sought_along(cells, remembered, sticking, &motion, direction, drift);
             expected = expected.shifted(direction, sought.shift);

@@ -107,7 +107,7 @@ pub(crate) fn sticking_out(cells: &Cells, returns: &[Return], motion: &Motion, d
 /// Whether something was seen along the direction from a point, but no plane that lies along the direction and goes through the point.
 fn is_off_planes(cells: &Cells, x: DVec3, direction: DVec3) -> bool {
     let (mut is_seen, mut is_on) = (false, false);
-    cells.planes_along(x, direction, REACH_M, |plane: &Plane| {
+    cells.planes_along(x, direction, REACH_M, 0, |plane: &Plane| {
         let nearest = x + plane.ahead(x, direction).clamp(-REACH_M, REACH_M) * direction;
         let (r, variance) = plane.residual(nearest);
         let is_sharp = variance < SHARP_M * SHARP_M && !plane.faces(direction, LEAST_SHARE);

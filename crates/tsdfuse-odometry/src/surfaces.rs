@@ -72,7 +72,7 @@ pub struct Fit {
 impl Surfaces {
     /// Fits planes to the points of a place.
     pub fn new(points: &[SurfacePoint], config: &OdometryConfig) -> Self {
-        let mut cells = Cells::new(config.cell_m, config.noise_m, f64::INFINITY);
+        let mut cells = Cells::upright(config.cell_m, config.noise_m);
         let seen = |p: &SurfacePoint| Seen {
             at: p.at.as_dvec3(),
             elevation: p.elevation(),

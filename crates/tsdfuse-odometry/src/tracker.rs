@@ -43,6 +43,12 @@ const LOOKED: usize = 20;
 /// From one of them to the next.
 const LOOK_EVERY: usize = 3;
 
+/// A sweep begins where the last one ended, up to this, metres and radians, and up to a share of how far a sweep may differ from the prediction, since
+/// motion is not quite linear between knots. A sweep that is bent wrongly ends elsewhere than the next one begins, so the less is allowed here, the
+/// sooner sweeps bend as the sensor moved.
+const JUMP: (f64, f64) = (0.0005, 0.0001);
+const UNSTEADY: f64 = 0.005;
+
 /// Options of the odometry. The defaults suit all rotating LiDARs, indoors and outdoors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -630,7 +636,11 @@ impl Tracker {
         let step = (gap + secs).max(1e-3);
         // Without times any distance may lie between two scans.
         let usual = 0.5 * step * step * if begin_at.is_some() { 1.0 } else { 10.0 };
-        let slack = if gap > 0.02 * step { (gap / step).min(1.0) } else { 0.02 };
+        let slack = if gap > 0.02 * step {
+            (gap / step).min(1.0)
+        } else {
+            UNSTEADY
+        };
         let prior_of = |predicted: &Prediction, used: PredictedBy| {
             let unforeseen = (self.config.acceleration, self.config.turn_acceleration);
             // Changes of the velocity and of the rate of turn, and how far a sweep is off at most at least.
@@ -643,7 +653,7 @@ impl Tracker {
             let most = (own.0.max(least.0), own.1.max(least.1));
             Prior {
                 motion: predicted.motion.clone(),
-                begin: spread(last.information, (0.002 + slack * own.0, 0.0005 + slack * own.1)),
+                begin: spread(last.information, (JUMP.0 + slack * own.0, JUMP.1 + slack * own.1)),
                 step_sigma: (
                     (2.0 * last.innovation.0).clamp(0.1 * own.0, most.0),
                     (2.0 * last.innovation.1).clamp(0.1 * own.1, most.1),
