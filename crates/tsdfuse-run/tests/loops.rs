@@ -183,7 +183,7 @@ impl Observer for Viewer {
 fn a_stream_that_is_over_or_stopped_gives_the_map_of_its_recording() {
     let dir = tempfile::tempdir().unwrap();
     let [folder, path, map] = ["drive", "drive.mcap", "map.tsdf"].map(|name| dir.path().join(name));
-    let scans = write_log(&folder, 28).len();
+    let scans = write_log(&folder, 40).len();
     write_recording(&folder, &path);
     let of_file = job(&path, &map);
     let (_, whole) = run(&of_file);
@@ -220,10 +220,10 @@ fn a_stream_that_is_over_or_stopped_gives_the_map_of_its_recording() {
     assert_eq!(viewer.surface.values().sum::<usize>(), triangles);
 
     // Stopped on the way back: what came by then is fused again, all of it.
-    let (viewer, report, part, _) = watched(&streamed, Some((1, 24)));
+    let (viewer, report, part, _) = watched(&streamed, Some((1, 35)));
     let fused = report.totals.scans;
     assert!(
-        viewer.begun == 2 && report.stopped && (25..scans).contains(&fused),
+        viewer.begun == 2 && report.stopped && (36..scans).contains(&fused),
         "{fused}"
     );
     let mut as_file = of_file.clone();
