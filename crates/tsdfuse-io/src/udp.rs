@@ -266,8 +266,8 @@ struct Receiver {
     shared: Arc<Shared>,
     packets: Arc<Packets>,
     news: News,
-    /// A sweep that waits for samples, and the time of the newest one.
-    waiting: Option<Sweep>,
+    /// A sweep that waits for samples, with the time of its last return, and the time of the newest sample.
+    waiting: Option<(Sweep, i64)>,
     measured_ns: Option<i64>,
     sweeps: u64,
     skipped: u64,
@@ -331,10 +331,8 @@ impl Receiver {
                 Err(_) => self.bad += 1,
             }
         }
-        if self
-            .waiting
-            .as_ref()
-            .is_some_and(|sweep| self.measured_ns.is_none_or(|ns| ns >= end_ns(sweep)))
+        if let Some((_, end_ns)) = self.waiting
+            && self.measured_ns.is_none_or(|ns| ns >= end_ns)
         {
             self.give();
         }
@@ -363,12 +361,13 @@ impl Receiver {
             self.measured_ns = None;
             self.give();
         }
-        self.waiting = Some(sweep);
+        let end_ns = end_ns(&sweep);
+        self.waiting = Some((sweep, end_ns));
     }
 
     /// Puts the sweep that waits where the reader finds it.
     fn give(&mut self) {
-        let Some(sweep) = self.waiting.take() else { return };
+        let Some((sweep, _)) = self.waiting.take() else { return };
         self.sweeps += 1;
         let before = self.shared.lock().newest.replace(sweep);
         self.skipped += u64::from(before.is_some());

@@ -1,5 +1,7 @@
 //! Closing the loops of one trajectory.
 
+use std::collections::BTreeSet;
+
 use glam::{DMat3, DVec3};
 use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
@@ -341,13 +343,8 @@ impl Closer {
             found = self.places.find(&view, candidates.iter().map(|candidate| candidate.1));
         }
         // A place that was found twice, from two guesses, says it once.
-        let mut places = Vec::new();
-        found.retain(|found| {
-            !found.is_weak && !places.contains(&found.place) && {
-                places.push(found.place);
-                true
-            }
-        });
+        let mut places = BTreeSet::new();
+        found.retain(|found| !found.is_weak && places.insert(found.place));
         let mut closed = 0;
         for found in found {
             let Some((_, place, expected, covariance, _)) = candidates.iter().find(|c| c.1 == found.place) else {
@@ -413,9 +410,12 @@ impl Closer {
     /// Moves all local maps with the smallest share of odometry's stated drift with which the closures agree: they must not bend a trajectory that is
     /// known better than they are.
     fn weigh(&mut self) {
+        if self.edges.is_empty() {
+            return;
+        }
         let stated: Vec<Edge> = self.graph.edges.clone();
         let freedoms = 6.0 * self.edges.len() as f64;
-        for share in DRIFTS.into_iter().filter(|_| freedoms > 0.0) {
+        for share in DRIFTS {
             for (edge, stated) in self.graph.edges.iter_mut().zip(&stated) {
                 if !edge.is_closure {
                     edge.information = stated.information * share.powi(-2);

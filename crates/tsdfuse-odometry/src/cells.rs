@@ -31,6 +31,9 @@ const THICKEST: f64 = 0.1;
 /// The plane's second widest direction is at least this many times as wide as the plane is thick.
 const LEAST_WIDTH: f64 = 3.0;
 
+/// The same of one that is wide.
+const WIDE: f64 = 4.0;
+
 /// Turns the world so that cells stand on a corner. A wall that lies along a side of its cells, and near it, loses points to the cells beside them by
 /// noise, and each of the two planes lies too far inside. Floors and upright walls are oblique to all sides here: by 55° and at least 35°, those
 /// along the axes by 38°.
@@ -40,9 +43,6 @@ const TURN: DMat3 = {
     const C: f64 = 0.577_350_269_189_625_8;
     DMat3::from_cols_array(&[A, -C, -B, B, C, -A, C, C, C])
 };
-
-/// The same of one that is wide.
-const WIDE: f64 = 4.0;
 
 /// Elevations within such an angle are not told apart, radians.
 const ELEVATION_STEP: f32 = 0.005;

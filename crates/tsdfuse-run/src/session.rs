@@ -152,7 +152,7 @@ impl Session {
         Self::begin_job(log, setup, None, false, observer)
     }
 
-    /// Whether a store that is there is replaced, or left as it is with an error.
+    /// A store that is there already is an error, unless it `replaces` it.
     pub(crate) fn begin_job(
         log: &Log,
         setup: Setup,
