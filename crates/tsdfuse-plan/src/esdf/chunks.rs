@@ -174,8 +174,12 @@ impl Chunks {
     pub(super) fn put(&mut self, changes: Vec<Change>) -> Vec<IVec3> {
         let mut changed: HashSet<IVec3, FxBuildHasher> = HashSet::default();
         let mut by_chunk: HashMap<IVec3, [Vec<LocalSite>; 2], FxBuildHasher> = HashMap::default();
+        // Neighbouring blocks mostly reach the same ones.
+        let mut last = None;
         for change in changes {
-            changed.extend(change.chunks());
+            if last.replace(change.reached) != Some(change.reached) {
+                changed.extend(change.chunks());
+            }
             for (sites, which) in [(&change.gone, 0), (&change.new, 1)] {
                 // Most of a block's sites lie in one chunk.
                 for of_one in sites.chunk_by(|(a, _), (b, _)| a == b) {

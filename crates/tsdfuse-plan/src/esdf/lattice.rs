@@ -6,8 +6,6 @@
 //!   │ u steps       │               │    its z, and all distances, are in steps
 //! ```
 
-use tsdfuse::glam::DVec3;
-
 use super::EsdfConfig;
 use crate::error::{PlanError, check_voxel_size};
 
@@ -66,9 +64,9 @@ impl Lattice {
         self.radius_steps / self.cell_steps() + 1
     }
 
-    /// A place in the world in steps.
-    pub(super) fn steps_of(&self, point: DVec3) -> DVec3 {
-        point / self.voxel_size_m * f64::from(self.steps)
+    /// Steps in a metre.
+    pub(super) fn steps_per_m(&self) -> f64 {
+        f64::from(self.steps) / self.voxel_size_m
     }
 
     /// A distance whose square is given in steps.

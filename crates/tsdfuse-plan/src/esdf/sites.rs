@@ -40,21 +40,16 @@ impl Sampler {
     /// The sites of a piece, in order; none for what lies outside of the grid.
     pub(super) fn sites(&mut self, lattice: &Lattice, piece: &Piece<'_>) -> &[Site] {
         self.sites.clear();
-        dispatch!(Level::new(), _ => self.sample(lattice, piece));
-        // A power of two.
-        let shift = lattice.cell_steps().trailing_zeros();
-        let samples = || self.samples.iter().filter(|sample| **sample != OUTSIDE);
-        let ends = samples().fold(None, |ends, &sample| {
-            let (low, high) = ends.unwrap_or((sample, sample));
-            Some((sample.min(low), sample.max(high)))
-        });
-        let Some((low, high)) = ends.map(|(low, high)| (low >> shift, high >> shift)) else {
+        let Some((low, high)) = dispatch!(Level::new(), _ => self.sample(lattice, piece)) else {
             return &[];
         };
+        // A power of two.
+        let shift = lattice.cell_steps().trailing_zeros();
+        let (low, high) = (low >> shift, high >> shift);
         let size = high - low + 1;
         self.cells.clear();
         self.cells.resize((size.x * size.y * size.z) as usize, (0, 0));
-        for sample in samples() {
+        for sample in self.samples.iter().filter(|sample| **sample != OUTSIDE) {
             let at = (*sample >> shift) - low;
             let (sum, count) = &mut self.cells[((at.x * size.y + at.y) * size.z + at.z) as usize];
             (*sum, *count) = (*sum + i64::from(sample.z), *count + 1);
@@ -74,19 +69,22 @@ impl Sampler {
         &self.sites
     }
 
-    /// All vertices, and points in between where they are far apart.
+    /// All vertices, and points in between where they are far apart; the lowest and the highest.
     #[inline(always)]
-    fn sample(&mut self, lattice: &Lattice, piece: &Piece<'_>) {
+    fn sample(&mut self, lattice: &Lattice, piece: &Piece<'_>) -> Option<(IVec3, IVec3)> {
+        let scale = lattice.steps_per_m();
         let sample = |point: DVec3| {
-            let steps = lattice.steps_of(point);
+            let steps = point * scale;
             match steps.abs().cmplt(FAR).all() {
-                // To the nearest: voxel centres may lie on borders of cells.
-                true => floor(steps + 0.5),
+                true => nearest(steps),
                 false => OUTSIDE,
             }
         };
         self.samples.clear();
-        self.samples.extend(piece.vertices.iter().map(|vertex| sample(*vertex)));
+        self.samples.resize(piece.vertices.len(), OUTSIDE);
+        for (out, vertex) in self.samples.iter_mut().zip(piece.vertices) {
+            *out = sample(*vertex);
+        }
         let spacing_m = SPACING * lattice.voxel_size_m;
         // Less by what rounding can hide.
         let spacing = SPACING * f64::from(lattice.steps) - 2.0;
@@ -118,15 +116,22 @@ impl Sampler {
                 }
             }
         }
+        let mut ends = None;
+        for &sample in self.samples.iter().filter(|sample| **sample != OUTSIDE) {
+            let (low, high) = ends.unwrap_or((sample, sample));
+            ends = Some((sample.min(low), sample.max(high)));
+        }
+        ends
     }
 }
 
-/// The whole numbers below, without the call that rounding is on processors that have no instruction for it.
+/// The nearest whole numbers. Of two that are as near, as voxel centres on borders of cells have them, the even one: a move by whole voxels, which are
+/// even numbers of steps, changes nothing. Added to this number, they are its lowest bits.
 #[inline(always)]
-fn floor(steps: DVec3) -> IVec3 {
-    let toward_zero = steps.as_ivec3();
-    let is_less = steps.cmplt(toward_zero.as_dvec3());
-    toward_zero - IVec3::from(<[bool; 3]>::from(is_less).map(i32::from))
+fn nearest(steps: DVec3) -> IVec3 {
+    const WHOLE: f64 = (3_u64 << 51) as f64;
+    let bits = |steps: f64| (steps + WHOLE).to_bits() as i32;
+    IVec3::new(bits(steps.x), bits(steps.y), bits(steps.z))
 }
 
 const _: () = assert!(CELLS == 2, "the docs say half a voxel");
