@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 mod along;
+mod bridge;
 mod calibrate;
 mod cells;
 mod imu;
@@ -16,6 +17,7 @@ mod surfaces;
 mod systematic;
 mod tracker;
 
+pub use bridge::bridge;
 pub use calibrate::shared_errors;
 pub use imu::{ImuReport, PredictedBy};
 pub use locate::Search;

@@ -110,6 +110,9 @@ pub struct Quality {
 /// A scan whose returns tell the position less well than this along some direction, metres, is undetermined.
 const UNDETERMINED_M: f64 = 0.1;
 
+/// The standard deviation of what is not known at all, metres.
+const UNKNOWN_M: f64 = 1e6;
+
 /// A scan of which a smaller share of the returns lies on what was seen before is unmatched.
 const UNMATCHED: f64 = 0.5;
 
@@ -139,10 +142,15 @@ impl Quality {
             covered: registered.covered,
             matched: registered.matched,
             rms_m: registered.rms,
-            position_sigma_m: eigen.values[0].max(1e-12).sqrt().recip(),
+            position_sigma_m: eigen.values[0].max(UNKNOWN_M.powi(-2)).sqrt().recip(),
             worst_direction: eigen.vectors[0].to_array(),
             passes: registered.passes,
         }
+    }
+
+    /// The returns do not tell the position along [`Self::worst_direction`] after all.
+    pub(crate) fn forget_position(&mut self) {
+        self.position_sigma_m = self.position_sigma_m.max(UNKNOWN_M);
     }
 
     /// Whether the returns do not tell the position along [`Self::worst_direction`]: there, the motion before went on.

@@ -145,6 +145,12 @@ impl Loops {
 }
 
 impl Corrections {
+    /// Whether neither loops nor fixes nor gravity move the trajectory.
+    pub(crate) fn move_nothing(&self) -> bool {
+        let anchoring = self.report.anchoring.as_ref();
+        self.report.closures.is_empty() && anchoring.is_none_or(|anchoring| anchoring.drift_share.is_none())
+    }
+
     /// The motion of the world that corrects a scan's pose.
     pub(crate) fn of(&self, index: usize) -> Pose {
         self.by_scan.get(&index).copied().unwrap_or(Pose::IDENTITY)

@@ -16,14 +16,14 @@ use tsdfuse_io::poses::{self, Poses};
 use tsdfuse_io::{Log, ReadScan, Selection, sensor_file};
 use tsdfuse_loops::LoopConfig;
 use tsdfuse_odometry::{
-    Calibrate, ImuReport, Mounting, OdometryConfig, Quality, Refined, Refiner, Search, Tracker, common_shift, mounting,
-    shared_errors,
+    Calibrate, ImuReport, Mounting, OdometryConfig, Quality, Refined, Refiner, Search, Tracker, bridge, common_shift,
+    mounting, shared_errors,
 };
 
 use crate::error::{BadScan, Result, RunError};
 use crate::event::{Event, Observer, Stop};
 use crate::load::Loading;
-use crate::loops::{Loops, LoopsReport};
+use crate::loops::{Corrections, Loops, LoopsReport};
 use crate::report::OdometryReport;
 
 /// Scans on their way through the tracker.
@@ -317,16 +317,14 @@ impl Refinement {
         let start = Instant::now();
         let mut tracking = Tracking::new(log, config, limits)?;
         let mut loops = Loops::of(log, loops)?;
-        let mut refined = HashMap::new();
+        let mut way = Way::default();
         let mut take = |placed: Vec<(ReadScan, Option<Quality>)>| {
             for (read, quality) in placed {
                 // A scan that cannot be read is told when it is fused.
                 let Ok(scan) = read.scan else { continue };
                 let quality = quality.unwrap_or_default();
                 loops.push(read.index, &scan, &quality);
-                let Some(pose) = scan.pose else { continue };
-                let motion = scan.motion;
-                refined.insert(read.index, Refined { pose, motion, quality });
+                way.push(read.index, scan, quality);
             }
         };
         for read in log.read_indices(indices.to_vec()) {
@@ -337,11 +335,9 @@ impl Refinement {
         }
         take(tracking.finish());
         let corrections = loops.finish();
-        for (index, refined) in &mut refined {
-            *refined = refined.moved(&corrections.of(*index));
-        }
+        way.correct(&tracking, Some(&corrections));
         Ok(Self {
-            refined,
+            refined: way.indices.into_iter().zip(way.scans).collect(),
             seconds: start.elapsed().as_secs_f64(),
             pieces: tracking.pieces(),
             imu: tracking.imu(),
@@ -365,6 +361,48 @@ impl Refinement {
         let refined = self.refined.get(&index)?;
         refined.place(scan);
         Some(refined.quality)
+    }
+}
+
+/// A trajectory that was tracked, as a whole.
+#[derive(Default)]
+struct Way {
+    /// Of each scan, its number in the log.
+    indices: Vec<usize>,
+    times_ns: Vec<Option<i64>>,
+    scans: Vec<Refined>,
+}
+
+impl Way {
+    fn push(&mut self, index: usize, scan: Scan, quality: Quality) {
+        let Some(pose) = scan.pose else { return };
+        self.indices.push(index);
+        self.times_ns.push(scan.time_ns);
+        self.scans.push(Refined {
+            pose,
+            motion: scan.motion,
+            quality,
+        });
+    }
+
+    /// Moves what loops and fixes correct; where they, and accelerations, tell nothing, gaps are bridged.
+    fn correct(&mut self, tracking: &Tracking, corrections: Option<&Corrections>) {
+        let is_forced = tracking.imu().is_some_and(|imu| imu.predicted[1] > 0);
+        let times_ns: Option<Vec<i64>> = self.times_ns.iter().copied().collect();
+        if let Some(times_ns) = times_ns
+            && tracking.pieces() == 1
+            && !is_forced
+            && corrections.is_none_or(Corrections::move_nothing)
+        {
+            let begin_ns = times_ns.first().copied().unwrap_or_default();
+            let secs: Vec<f64> = times_ns.iter().map(|ns| 1e-9 * (ns - begin_ns) as f64).collect();
+            bridge(&secs, &mut self.scans);
+        }
+        for (index, scan) in self.indices.iter().zip(&mut self.scans) {
+            if let Some(corrections) = corrections {
+                *scan = scan.moved(&corrections.of(*index));
+            }
+        }
     }
 }
 
@@ -494,7 +532,7 @@ pub fn track(
     stop: &Stop,
 ) -> Result<Track> {
     let mut tracking = Tracking::new(log, config, limits)?;
-    let mut all = Vec::new();
+    let (mut names, mut way) = (Vec::new(), Way::default());
     let mut loops = loops.map(|loops| Loops::of(log, loops)).transpose()?;
     let mut take = |placed: Vec<(ReadScan, Option<Quality>)>| {
         for (read, quality) in placed {
@@ -505,16 +543,12 @@ pub fn track(
                     reason: error.to_string(),
                 })
             })?;
-            let (pose, time_ns) = (scan.pose.unwrap_or(Pose::IDENTITY), scan.time_ns);
+            let quality = quality.unwrap_or_default();
             if let Some(loops) = &mut loops {
-                loops.push(index, &scan, &quality.unwrap_or_default());
+                loops.push(index, &scan, &quality);
             }
-            all.push(TrackedScan {
-                index,
-                name: scan.name,
-                pose: FusedPose { time_ns, pose },
-                quality: quality.unwrap_or_default(),
-            });
+            names.push(scan.name.clone());
+            way.push(index, scan, quality);
         }
         Ok::<_, RunError>(())
     };
@@ -526,14 +560,19 @@ pub fn track(
     }
     take(tracking.finish())?;
     let closed = loops.map(Loops::finish);
-    if let Some(corrections) = &closed {
-        for scan in &mut all {
-            scan.pose.pose = corrections.of(scan.index) * scan.pose.pose;
-        }
-    }
+    way.correct(&tracking, closed.as_ref());
     let (loops, graph) = closed.map(|closed| (closed.report, closed.graph)).unzip();
+    let scans = way.indices.into_iter().zip(way.times_ns).zip(way.scans).zip(names);
+    let scans = scans.map(
+        |(((index, time_ns), Refined { pose, quality, .. }), name)| TrackedScan {
+            index,
+            name,
+            pose: FusedPose { time_ns, pose },
+            quality,
+        },
+    );
     Ok(Track {
-        scans: all,
+        scans: scans.collect(),
         pieces: tracking.pieces(),
         imu: tracking.imu(),
         loops,
