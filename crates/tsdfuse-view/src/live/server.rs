@@ -225,7 +225,12 @@ fn view(stream: impl Read + Write, shared: &Shared) -> tungstenite::Result<()> {
         } else {
             socket.send(Message::text("{}"))?;
         }
-        while !matches!(socket.read()?, Message::Text(_)) {}
+        loop {
+            if let Message::Text(answer) = socket.read()? {
+                seen.answered(&answer);
+                break;
+            }
+        }
         if shared.grows() {
             thread::sleep(PAUSE.saturating_sub(told.elapsed()));
         }

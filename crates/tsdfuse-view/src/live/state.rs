@@ -10,8 +10,10 @@ use tsdfuse::glam::{DVec3, IVec3};
 use crate::chunks::Lattice;
 use crate::scene::Channel;
 
-/// Bytes of pieces in one message, about.
+/// A message holds about so many bytes of pieces, and as many times more as a viewer asks for, at most [`MOST_BATCHES`]. One that draws slowly, without a
+/// GPU, asks for more.
 const BATCH: usize = 1 << 19;
+const MOST_BATCHES: usize = 16;
 
 /// The state, and those who wait for it to change.
 #[derive(Debug)]
@@ -78,6 +80,8 @@ impl Shared {
 /// How far a viewer has been told.
 #[derive(Debug, Default)]
 pub(super) struct Seen {
+    /// How many times [`BATCH`] it wants, besides the first.
+    more_batches: usize,
     changes: u64,
     scene: u64,
     piece: u64,
@@ -87,6 +91,14 @@ pub(super) struct Seen {
     sweep: u64,
     loops: u64,
     figures: u64,
+}
+
+impl Seen {
+    /// What a viewer says when it has shown a message: `ok`, or `ok N` if it wants N times [`BATCH`].
+    pub(super) fn answered(&mut self, answer: &str) {
+        let batches: Option<usize> = answer.strip_prefix("ok ").and_then(|number| number.parse().ok());
+        self.more_batches = batches.unwrap_or(1).clamp(1, MOST_BATCHES) - 1;
+    }
 }
 
 /// All that viewers are to know.
@@ -241,7 +253,7 @@ impl State {
             body.push(bytes);
             length += bytes.len();
             seen.piece = version;
-            if length >= BATCH {
+            if length >= BATCH * (1 + seen.more_batches) {
                 break;
             }
         }

@@ -15,6 +15,7 @@ struct Viewer {
     socket: WebSocket<TcpStream>,
     pieces: std::collections::BTreeMap<[i64; 3], Piece>,
     told: usize,
+    answer: &'static str,
 }
 
 impl Viewer {
@@ -26,6 +27,7 @@ impl Viewer {
             socket,
             pieces: Default::default(),
             told: 0,
+            answer: "ok",
         }
     }
 
@@ -47,7 +49,7 @@ impl Viewer {
             at += size as usize;
         }
         assert_eq!(at + head["sweep"].as_u64().unwrap_or_default() as usize, bytes.len());
-        self.socket.send(Message::text("ok")).unwrap();
+        self.socket.send(Message::text(self.answer)).unwrap();
         head
     }
 
@@ -118,6 +120,37 @@ fn viewers_are_told_what_changed_and_late_ones_all() {
     let mesh = surface.mesh(&map).unwrap();
     let least = mesh.vertices.iter().map(|v| v.x).fold(f64::MAX, f64::min);
     assert!((heights.into_iter().fold(f64::MAX, f64::min) - least).abs() <= lattice.step_m);
+}
+
+#[test]
+fn a_viewer_that_asks_for_more_is_told_all_in_fewer_messages() {
+    let live = Live::serve(ANY_PORT, "").unwrap();
+    let config = MapConfig {
+        voxel_size_m: 0.02,
+        truncation_m: 0.08,
+        ..MapConfig::default()
+    };
+    live.begin(DVec3::ZERO, config.voxel_size_m);
+    let (mut map, mut raycast) = (VoxelMap::new(config).unwrap(), Raycast::default());
+    let (mut surface, mut changes) = (Incremental::default(), Changes::default());
+    for x in (2..16).step_by(2) {
+        let scan = wall(x as f32);
+        surface.note(&raycast.integrate(&mut map, &scan).unwrap().updated_blocks);
+    }
+    surface.changes(&map, &mut changes);
+    live.changes(&changes);
+    let messages = |answer| {
+        let mut viewer = Viewer::of(&live);
+        viewer.answer = answer;
+        let mut count = 1;
+        while viewer.take()["more"] == true {
+            count += 1;
+        }
+        (count, viewer.triangles())
+    };
+    let ((few, all), (many, same), (garbled, _)) = (messages("ok 16"), messages("ok"), messages("ok -1x"));
+    assert!(all == same && all > 10_000, "{all} {same}");
+    assert!(few == 2 && many > 3 && garbled == many, "{few} {many} {garbled}");
 }
 
 #[test]
