@@ -132,14 +132,13 @@ impl Cylinder {
 const MOST_BETWEEN: f32 = 4.0;
 
 impl Surface<'_> {
-    /// Upper bounds of what returns add to a voxel: each return itself, and the links to two neighbours, far away to four.
+    /// Upper bounds of what returns add to a voxel: each return itself, and the links to two neighbours.
     pub(crate) fn weights(&self, scan: &Scan) -> Vec<f32> {
         // A patch can be this much nearer to the scan's position than its return is to the position that it was measured from.
         let off_m = twin::MAX_OFF * (self.config.noise_m.max(twin::NOISE_M[1]) + twin::ROUGHNESS_M);
         let shift_m = largest_shift_m(scan);
+        let each = 1.0 + 2.0 * MOST_BETWEEN;
         weights(&scan.points, |range_m| {
-            let is_near = range_m + off_m + shift_m < twin::FAR_M;
-            let each = 1.0 + if is_near { 2.0 } else { 4.0 } * MOST_BETWEEN;
             // The other end of a link can be nearer, and the middle of the link nearer still: by Pythagoras.
             let half_gap = 0.5 * twin::MAX_GAP_OF_RANGE;
             let of_middle_m = range_m / (1.0 + twin::MAX_GAP_OF_RANGE) * (1.0 - half_gap * half_gap).sqrt();

@@ -1,7 +1,7 @@
 // Surface patches: lines along the normals of planes, between neighbours of one surface, and along rays. See `tsdfuse::fuse::patch`
 // and `tsdfuse::patch::between`.
 
-// Three threads per return: for the return itself, for the link to the next ring, and for the links to the next column and diagonally.
+// Three threads per return: for the return itself, for the link to the next ring, and for the link to the next column.
 fn fuse_return(i: u32, thread: u32) -> u32 {
     let cell = cell_of(i);
     let has_plane = cell != NONE && is_plane(patches[cell]);
@@ -14,16 +14,9 @@ fn fuse_return(i: u32, thread: u32) -> u32 {
     } else if cell != NONE {
         let ring = cell / frame.columns;
         let column = cell % frame.columns;
-        let range = length(patches[cell].center);
-        let dense = frame.step_m / (frame.column_rad * range);
         if thread == 2u {
             connect(patches[cell], next_in_row(ring, column), MAX_GAP_ACROSS_M);
-            if range >= FAR_M && dense < 1.0 && ring + 1u < frame.rings {
-                let above = (ring + 1u) * frame.columns;
-                connect(patches[cell], patches[above + (column + 1u) % frame.columns], MAX_GAP_ACROSS_M);
-                connect(patches[cell], patches[above + (column + frame.columns - 1u) % frame.columns], MAX_GAP_ACROSS_M);
-            }
-        } else if column % nth(dense) == 0u {
+        } else if column % nth(frame.step_m / (frame.column_rad * length(patches[cell].center))) == 0u {
             connect(patches[cell], next_in_column(ring, column), 1e30);
         }
     }

@@ -28,8 +28,7 @@ pub const COPLANAR_OFF_M: f32 = 2.0 * ROUGHNESS_M;
 /// … and their normals no farther apart than this cosine, of 5°.
 pub const COPLANAR_DOT: f32 = 0.996;
 
-/// From this range on, metres, the greatest gap grows with the range, as the one between beams does, and returns are linked to those diagonally above,
-/// too, so that the middle between four returns is closed.
+/// From this range on, metres, the greatest gap grows with the range, as the one between beams does.
 pub const FAR_M: f32 = 25.0;
 
 /// Returns are linked no farther apart than this share of their range.
@@ -48,8 +47,8 @@ pub fn widest_gap_m(max_gap_m: f32, range_m: f32) -> f32 {
 /// Patches are made in any case up to this many for each return, whatever [`Limits::most`] says.
 const ALWAYS: usize = 16;
 
-/// Finds patches between those of neighbouring returns (next ring, next column; far away also both), at most `step_m` apart. Where columns are denser than
-/// that, only every second, fourth, … is linked to the next ring, and none diagonally. Keeps its buffers.
+/// Finds patches between those of neighbouring returns (next ring, next column), at most `step_m` apart. Where columns are denser than
+/// that, only every second, fourth, … is linked to the next ring. Keeps its buffers.
 #[derive(Debug, Default)]
 pub(super) struct Between {
     parts: Vec<Vec<Patch>>,
@@ -73,25 +72,14 @@ impl Between {
                 let Some((ring, column)) = image.place_of(i) else {
                     continue;
                 };
-                let range = all[i].center.length();
-                let dense = limits.step_m / (column_rad * range);
+                let dense = limits.step_m / (column_rad * all[i].center.length());
                 let cells = 1..=limits.neighbour_cells;
                 let above = cells.clone().find_map(|k| image.get(ring + k, column));
                 let above = above.filter(|_| column % nth(dense) == 0);
                 let next = cells
                     .into_iter()
                     .find_map(|k| image.get(ring, (column + k) % image.columns()));
-                let diagonal = |columns: usize| {
-                    let is_wide = range >= FAR_M && dense < 1.0;
-                    is_wide.then(|| image.get(ring + 1, (column + columns) % image.columns()))?
-                };
-                let neighbours = [
-                    (above, f32::INFINITY),
-                    (next, MAX_GAP_ACROSS_M),
-                    (diagonal(1), MAX_GAP_ACROSS_M),
-                    (diagonal(image.columns() - 1), MAX_GAP_ACROSS_M),
-                ];
-                for (other, longest_m) in neighbours {
+                for (other, longest_m) in [(above, f32::INFINITY), (next, MAX_GAP_ACROSS_M)] {
                     let Some(other) = other else {
                         continue;
                     };
@@ -271,30 +259,6 @@ mod tests {
         // 4 × 3 returns have 3 × 3 neighbours above and 4 × 2 beside, 15 cm apart: a patch or two between them.
         assert_eq!((count(1), count(2)), (0, 0));
         assert!((17..=34).contains(&count(3)), "{}", count(3));
-    }
-
-    #[test]
-    fn far_away_the_middle_between_four_returns_is_closed() {
-        let sensor = SensorModel::from_beams("two rings", vec![0.0, 0.6], 900, (0.1, 100.0)).unwrap();
-        let wide_rad = std::f32::consts::TAU / 900.0;
-        // On a wall, between four returns: along its sides, and along both diagonals.
-        let count = |range_m: f32| {
-            let places = [(0, 0.0), (0, 0.6), (1, 0.0), (1, 0.6)];
-            let points: Vec<Vec3> = places
-                .map(|(column, up): (u8, f32)| {
-                    let along = (f32::from(column) + 0.5) * wide_rad;
-                    range_m * Vec3::new(1.0, -along.tan(), up.to_radians().tan() / along.cos())
-                })
-                .to_vec();
-            let mut image = ScanImage::new();
-            image.update(&points, &[0, 1, 0, 1], &sensor);
-            let mut all: Vec<Patch> = points.iter().map(|&p| patch(p, -Vec3::X, Kind::Whole)).collect();
-            Between::default()
-                .append_to(&mut all, &image, wide_rad, &LIMITS)
-                .unwrap();
-            all.len() - points.len()
-        };
-        assert_eq!((count(20.0), count(30.0)), (2 * 2 + 2, 2 * 4 + 2 * 2 + 2 * 5));
     }
 
     #[test]
