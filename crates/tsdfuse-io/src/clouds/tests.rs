@@ -93,15 +93,18 @@ fn a_scan_outside_the_trajectory_is_named_with_its_time() {
 #[test]
 fn viewpoints_are_poses_where_there_is_no_pose_file() {
     let dir = tempfile::tempdir().unwrap();
-    pcd(dir.path(), "2.pcd", "7 0 0 1 0 0 0", 0);
-    pcd(dir.path(), "10.pcd", "8 0 0 0 0 0 1", 0);
-    let dataset = crate::open(dir.path()).unwrap();
+    // Poses may lie beside the folder, too, and there may be others' beside a temporary one.
+    let clouds = dir.path().join("clouds");
+    fs::create_dir(&clouds).unwrap();
+    pcd(&clouds, "2.pcd", "7 0 0 1 0 0 0", 0);
+    pcd(&clouds, "10.pcd", "8 0 0 0 0 0 1", 0);
+    let dataset = crate::open(&clouds).unwrap();
     assert_eq!(xs(&dataset), [7.0, 8.0]);
     let in_world = dataset.scans()[1].pose.unwrap().transform_point(DVec3::X);
     assert!(in_world.distance(DVec3::new(7.0, 0.0, 0.0)) < 1e-12);
 
-    fs::write(dir.path().join("poses.txt"), "1 0 0 1 0 1 0 0 0 0 1 0\n".repeat(2)).unwrap();
-    let dataset = crate::open(dir.path()).unwrap();
+    fs::write(clouds.join("poses.txt"), "1 0 0 1 0 1 0 0 0 0 1 0\n".repeat(2)).unwrap();
+    let dataset = crate::open(&clouds).unwrap();
     assert_eq!(xs(&dataset), [1.0, 1.0]);
     assert_eq!(
         dataset.notes(),
