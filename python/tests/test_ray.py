@@ -119,7 +119,7 @@ def test_methods_that_erase_give_the_bits_of_one_machine(cluster: None, log: Pat
     some: dict[str, Any] = {"scans": "0..8", "method": "patch", **OPTIONS}
     report = tsdfuse.ray.fuse(log, tmp_path / "city/tileset.json", span=3, cell=4, memory_per_task="200M", **some)
     assert not report["additive"] and report["scans"] == 8
-    tsdfuse.fuse(log, save_map=tmp_path / "a.tsdf", config={"patch.agreement": False}, **some)
+    tsdfuse.fuse(log, save_map=tmp_path / "a.tsdf", config={"patch.agreement": False, "moving.leave_out": False}, **some)
     one = tsdfuse.Map.load(tmp_path / "a.tsdf")
     assert united(tmp_path / "city.work") == one
     # Sums of parts would be another map: it matters that nothing is added here.

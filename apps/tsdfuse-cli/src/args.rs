@@ -85,9 +85,10 @@ pub(crate) struct RunArgs {
     /// Correct the poses that odometry finds, or that are refined, where the sensor comes back, before anything is fused; of a stream when it is over.
     #[arg(long, value_name = "on|off", default_value = "on")]
     loops: Loops,
-    /// Leave out returns of things that move: those in space that was known to be free.
-    #[arg(long)]
-    leave_out_moving: bool,
+    /// What becomes of returns of things that move, those in space that was known to be free [default: leave-out with the method patch,
+    /// else fuse].
+    #[arg(long, value_name = "leave-out|fuse")]
+    moving: Option<MovingReturns>,
     #[command(flatten)]
     pub(crate) log: LogArgs,
 }
@@ -96,8 +97,8 @@ impl RunArgs {
     /// The run, without outputs.
     pub(crate) fn job(&self) -> Result<Job> {
         let mut settings = self.log.settings(self.method.as_deref())?;
-        if self.leave_out_moving {
-            settings.set("--leave-out-moving", "moving.leave_out", true)?;
+        if let Some(moving) = self.moving {
+            settings.set("--moving", "moving.leave_out", matches!(moving, MovingReturns::LeaveOut))?;
         }
         Ok(Job {
             input: self.log.input(),
@@ -250,6 +251,13 @@ pub(crate) fn parse_rough_pose(text: &str) -> Result<Pose, String> {
         Some(&[x, y, z, yaw]) => upright(x, y, z, yaw),
         _ => parse_extrinsics(text),
     }
+}
+
+/// What becomes of returns of things that move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum MovingReturns {
+    LeaveOut,
+    Fuse,
 }
 
 /// Whether loops are closed.

@@ -23,7 +23,7 @@ Examples:
   tsdfuse fuse pandaset/002 --load-map street.tsdf -o street.ply --scans 40..80
   tsdfuse fuse second-drive --load-map street.tsdf --initial-pose 12,3,0,90 -o both.ply
   tsdfuse fuse drive -o drive.ply --memory 2G --store drive.store
-  tsdfuse fuse drive -o drive.ply --leave-out-moving --record drive.mcap
+  tsdfuse fuse drive -o drive.ply --record drive.mcap
   tsdfuse fuse drive -o drive.ply --poses track --save-poses drive.tum
   tsdfuse fuse street -o street.ply --config run.toml --set raycast.distance=projective
 

@@ -21,7 +21,7 @@ Open it in Foxglove: Open connection, Foxglove WebSocket, ws://127.0.0.1:8765.
 
 Examples:
   tsdfuse serve udp://:2368
-  tsdfuse serve drive --leave-out-moving
+  tsdfuse serve drive
   tsdfuse serve street.tsdf --address 0.0.0.0:8765";
 
 /// Serve a run, or a map, by Foxglove's WebSocket protocol: points, tf, odometry, the surface as it grows, an occupancy grid.

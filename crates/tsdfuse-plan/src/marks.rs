@@ -2,7 +2,7 @@
 
 use hashbrown::HashMap;
 use rustc_hash::FxBuildHasher;
-use tsdfuse::glam::{BVec3, DVec3, IVec3};
+use tsdfuse::glam::{DVec3, IVec3};
 
 /// Voxels along the edge of a chunk.
 pub(crate) const CHUNK: i32 = 16;
@@ -54,15 +54,40 @@ pub(crate) struct Marks {
 }
 
 impl Marks {
-    /// Marks a ray, whose ends are given in voxels.
+    /// Marks a ray, whose ends are given in voxels (Amanatides and Woo, "A Fast Voxel Traversal Algorithm", Eurographics 1987).
     pub(crate) fn ray(&mut self, from: DVec3, to: DVec3, hits: bool) {
-        walk(from, to, |voxel| {
-            let number = number(voxel);
-            self.chunk(voxel).passed[number / 64] |= 1 << (number % 64);
-        });
-        let end = to.floor().as_ivec3();
+        let (voxel, last) = (from.floor(), to.floor());
+        let (way, left) = (to - from, (last - voxel).as_ivec3());
+        let step = left.signum();
+        // The share of the ray after which the next voxel begins along each axis, and from there to the one after it.
+        let per_voxel = way.abs().recip();
+        let ahead = DVec3::select(step.cmpgt(IVec3::ZERO), voxel + 1.0 - from, from - voxel);
+        let mut next = DVec3::select(step.cmpeq(IVec3::ZERO), DVec3::INFINITY, ahead * per_voxel);
+        let [step_x, step_y, step_z] = [step.x << 12, step.y << 6, step.z];
+        let voxel = voxel.as_ivec3();
+        let mut index = voxel >> CHUNK.trailing_zeros();
+        let mut chunk = self.chunk(index);
+        let mut within = Within::new(voxel);
+        for _ in 0..left.abs().element_sum() {
+            chunk.passed[within.number() / 64] |= 1 << (within.number() % 64);
+            // Without branches, which would be guessed wrong half of the time.
+            let x = (next.x <= next.y) & (next.x <= next.z);
+            let y = !x & (next.y <= next.z);
+            let z = !(x | y);
+            next.x += if x { per_voxel.x } else { 0.0 };
+            next.y += if y { per_voxel.y } else { 0.0 };
+            next.z += if z { per_voxel.z } else { 0.0 };
+            let by = if x { step_x } else if y { step_y } else { step_z };
+            within.0 += by;
+            if within.is_outside() {
+                within.0 -= by * CHUNK;
+                index += IVec3::new(i32::from(x), i32::from(y), i32::from(z)) * step;
+                chunk = self.chunk(index);
+            }
+        }
+        let end = last.as_ivec3();
         let (word, bit) = (number(end) / 64, 1 << (number(end) % 64));
-        let chunk = self.chunk(end);
+        let chunk = self.chunk(end >> CHUNK.trailing_zeros());
         if hits {
             chunk.hit[word] |= bit;
         } else {
@@ -70,8 +95,7 @@ impl Marks {
         }
     }
 
-    fn chunk(&mut self, voxel: IVec3) -> &mut ChunkMarks {
-        let index = voxel >> CHUNK.trailing_zeros();
+    fn chunk(&mut self, index: IVec3) -> &mut ChunkMarks {
         let place = match self.last {
             Some((last, place)) if last == index => place,
             _ => *self.places.entry(index).or_insert_with(|| {
@@ -92,7 +116,7 @@ impl Marks {
             return other;
         }
         for (index, place) in other.places {
-            let (from, to) = (&other.chunks[place], self.chunk(index * CHUNK));
+            let (from, to) = (&other.chunks[place], self.chunk(index));
             to.passed
                 .iter_mut()
                 .zip(&from.passed)
@@ -111,33 +135,25 @@ impl Marks {
     }
 }
 
-/// Visits the voxels along a ray but for the last one (Amanatides and Woo, "A Fast Voxel Traversal Algorithm", Eurographics 1987).
-/// Both ends are given in voxels.
-pub(crate) fn walk(from: DVec3, to: DVec3, mut visit: impl FnMut(IVec3)) {
-    let (mut voxel, last) = (from.floor().as_ivec3(), to.floor().as_ivec3());
-    let (way, step) = (to - from, (last - voxel).signum());
-    let mut left = (last - voxel).abs();
-    // The share of the ray after which the next voxel begins along each axis, and from there to the one after it.
-    let per_voxel = way.abs().recip();
-    let ahead = DVec3::select(
-        step.cmpgt(IVec3::ZERO),
-        voxel.as_dvec3() + 1.0 - from,
-        from - voxel.as_dvec3(),
-    );
-    let mut next = ahead * per_voxel;
-    let blocked = |left: IVec3| -> BVec3 { left.cmpeq(IVec3::ZERO) };
-    while left != IVec3::ZERO {
-        visit(voxel);
-        let shares = DVec3::select(blocked(left), DVec3::INFINITY, next);
-        let axis = if shares.x <= shares.y && shares.x <= shares.z {
-            0
-        } else if shares.y <= shares.z {
-            1
-        } else {
-            2
-        };
-        voxel[axis] += step[axis];
-        left[axis] -= 1;
-        next[axis] += per_voxel[axis];
+/// A voxel in its chunk: six bits for each axis, of which the upper two are 01, so that a step out of the chunk changes these.
+#[derive(Clone, Copy)]
+struct Within(i32);
+
+impl Within {
+    const UPPER: i32 = 0b110000_110000_110000;
+    const INSIDE: i32 = 0b010000_010000_010000;
+
+    fn new(voxel: IVec3) -> Self {
+        let at = voxel & (CHUNK - 1);
+        Self(Self::INSIDE | at.x << 12 | at.y << 6 | at.z)
+    }
+
+    fn is_outside(self) -> bool {
+        self.0 & Self::UPPER != Self::INSIDE
+    }
+
+    /// As [`number`].
+    fn number(self) -> usize {
+        (self.0 >> 4 & 0xf00 | self.0 >> 2 & 0xf0 | self.0 & 0xf) as usize
     }
 }

@@ -3,7 +3,7 @@
 //! After Schmid et al., "Dynablox", RA-L 2023, with rays instead of a distance field. A voxel is *free* after rays have passed through it in
 //! several scans without ending there. It is *clear* once all voxels around it are free, two to each side: so neither noise in front of a
 //! wall nor rays that graze the ground end in clear voxels. Clear voxels stay clear while something moves in or beside them. A return in a clear
-//! voxel moves. So does what lies up to three free voxels from there: wheels, and feet.
+//! voxel moves. So does what lies up to three free voxels from there: wheels, and feet. What is more than 250 m from the sensor is forgotten.
 //!
 //! ```
 //! use tsdfuse::{Pose, Scan, glam::Vec3};
@@ -61,6 +61,8 @@ impl Default for MovingConfig {
     }
 }
 
+/// What is farther from the sensor is forgotten, metres.
+const FORGOTTEN_M: f64 = 250.0;
 /// Voxels to each side of a clear one that were free at the same time.
 const REACH: i32 = 2;
 /// So many voxels from a clear one, returns in free voxels move with it.
@@ -171,14 +173,18 @@ impl Moving {
     /// # Errors
     /// [`ScanError::NoPose`] names a scan without a pose.
     pub fn classify(&mut self, scan: &Scan) -> Result<Vec<bool>, ScanError> {
-        let rays = Rays::of(scan, self.config.voxel_size_m, self.config.max_range_m)?;
+        let mut rays = Rays::of(scan, self.config.voxel_size_m, self.config.max_range_m)?;
         let mut in_voxels: HashMap<IVec3, usize, FxBuildHasher> = HashMap::default();
         for voxel in rays.hits.iter().flatten() {
             *in_voxels.entry(*voxel).or_default() += 1;
         }
         let moving = self.moving(&in_voxels);
-        let marks = rays.marks();
-        self.remember(marks, &moving);
+        rays.thin();
+        self.remember(rays.marks(), &moving);
+        let chunk_m = self.config.voxel_size_m * f64::from(CHUNK);
+        let sensor = scan.world_from_sensor()?.translation;
+        self.chunks
+            .retain(|index, _| (index.as_dvec3() * chunk_m).distance(sensor) < FORGOTTEN_M);
         let is_moving = |hit: &Option<IVec3>| hit.is_some_and(|voxel| moving.contains(&voxel));
         Ok(rays.hits.iter().map(is_moving).collect())
     }
@@ -352,6 +358,34 @@ impl Moving {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use tsdfuse::Pose;
+    use tsdfuse::glam::{DVec3, Vec3};
+
+    /// A wall 8 m ahead of a sensor.
+    fn wall(sensor: DVec3) -> Scan {
+        let points = (0..10_000).map(|i| Vec3::new(8.0, 0.08 * (i % 100 - 50) as f32, 0.08 * (i / 100 - 50) as f32));
+        Scan {
+            points: points.collect(),
+            pose: Some(Pose {
+                translation: sensor,
+                ..Pose::IDENTITY
+            }),
+            ..Default::default()
+        }
+    }
+
+    #[test]
+    fn memory_does_not_grow_with_the_drive() {
+        let mut moving = Moving::new(MovingConfig::default()).unwrap();
+        let after = |moving: &mut Moving, metres: std::ops::Range<i32>| {
+            for metre in metres {
+                moving.classify(&wall(DVec3::X * f64::from(10 * metre))).unwrap();
+            }
+            moving.memory_bytes()
+        };
+        let short = after(&mut moving, 0..30);
+        assert_eq!(after(&mut moving, 30..100), short);
+    }
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]

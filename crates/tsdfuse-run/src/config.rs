@@ -56,8 +56,9 @@ pub struct RunConfig {
 #[serde(deny_unknown_fields, default)]
 pub struct MovingSettings {
     /// Whether they are left out ([`tsdfuse_plan::Moving`]); else they are fused as all others, and methods that erase take them away
-    /// later.
-    pub leave_out: bool,
+    /// later. `None`: with the method `patch`, which erases what was fused of them before.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub leave_out: Option<bool>,
 }
 
 impl RunConfig {
@@ -74,6 +75,11 @@ impl RunConfig {
                 .map_or_else(Default::default, |sensor| sensor.correction.clone()),
             ..Self::default()
         }
+    }
+
+    /// Whether returns of things that move are left out.
+    pub fn leaves_out_moving(&self) -> bool {
+        self.moving.leave_out.unwrap_or(self.method == Method::Patch)
     }
 
     /// The options of all methods.

@@ -90,7 +90,8 @@ pub struct Session {
     placed: (Vec<(ReadScan, Option<Quality>)>, f64),
     /// Whether the poses are known that must be before anything is fused.
     is_prepared: bool,
-    /// Scans that were done before the run was broken off, and are only tracked again: poses follow from all scans before.
+    /// Scans that were done before the run was broken off, and are read once more: poses, and what is known to be free, follow from all
+    /// scans before.
     repeated: usize,
     /// Poses of the scans to come, where they are known.
     next: VecDeque<Option<Pose>>,
@@ -258,19 +259,21 @@ impl Session {
     }
 
     fn with(log: &Log, setup: Setup, backend: Box<dyn Backend>, checkpoint: Checkpoint) -> Result<Self> {
-        let (placer, repeated) = match setup.placing {
+        let placer = match setup.placing {
             // Before it begins: see `prepare`.
-            Placing::Track if setup.tracks_first(log) => (Placer::Log, 0),
+            Placing::Track if setup.tracks_first(log) => Placer::Log,
             Placing::Track => {
                 let RunConfig { odometry, range, .. } = setup.config;
                 let tracking = match &setup.load_map {
                     Some(map) => Tracking::in_map(log, odometry, range, map, setup.initial_pose)?,
                     None => Tracking::new(log, odometry, range)?,
                 };
-                (Placer::Odometry(Some(Box::new(tracking))), checkpoint.done)
+                Placer::Odometry(Some(Box::new(tracking)))
             }
-            Placing::Refine | Placing::Given => (Placer::Log, 0),
+            Placing::Refine | Placing::Given => Placer::Log,
         };
+        let is_repeated = matches!(placer, Placer::Odometry(_)) || setup.tells_moving();
+        let repeated = if is_repeated { checkpoint.done } else { 0 };
         let is_kept = setup.tracks_again(log) && log.keep(setup.spool())?;
         let loops = is_kept.then(|| Loops::of(log, setup.config.loops)).transpose()?;
         let mut next = VecDeque::new();
@@ -330,7 +333,7 @@ impl Session {
         if self.setup.intensity {
             self.layers.intensity = Some(self.begun_intensity()?);
         }
-        if self.setup.config.moving.leave_out || self.setup.labels.is_some() {
+        if self.setup.tells_moving() {
             self.moving = Some(Moving::new(MovingConfig::default()).map_err(RunError::config)?);
         }
         if let Some(folder) = &self.setup.labels {
@@ -383,7 +386,7 @@ impl Session {
             return Ok(());
         };
         let mut to_fuse = self.setup.selection.indices(scans);
-        to_fuse.drain(..self.checkpoint.done.min(to_fuse.len()));
+        to_fuse.drain(..(self.checkpoint.done - self.repeated).min(to_fuse.len()));
         self.next = to_fuse.into_iter().map(|index| placed.pose(index)).collect();
         if let Some(loops) = &placed.loops {
             let place = |index| placed.pose(index).map(|pose: Pose| pose.translation);
@@ -487,9 +490,7 @@ impl Session {
             {
                 observer.on(Event::LoopsClosed(&loops.ends()));
             }
-            if self.repeated > 0 {
-                self.repeated -= 1;
-            } else if self.full.is_none() {
+            if self.full.is_none() {
                 self.fuse_read(read, quality, wait, observer)?;
             }
         }
@@ -607,7 +608,7 @@ impl Session {
         Ok(())
     }
 
-    /// Fuses a scan, or skips it, and counts it as done.
+    /// Fuses a scan, or skips it, and counts it as done; unless it was done before.
     fn fuse_read(
         &mut self,
         read: ReadScan,
@@ -620,6 +621,14 @@ impl Session {
             Some(scan) => scan.name.clone(),
             None => format!("scan {index}"),
         };
+        if self.repeated > 0 {
+            self.repeated -= 1;
+            return match self.prepared(read, &name) {
+                // That it could not be used was told then.
+                Ok(_) | Err(RunError::BadScan(_)) => Ok(()),
+                Err(error) => Err(error),
+            };
+        }
         match self.take(read, quality, &name, wait, observer) {
             Ok(()) => {}
             Err(RunError::BadScan(BadScan { reason, .. })) if self.setup.skip_bad => {
@@ -638,6 +647,35 @@ impl Session {
         Ok(())
     }
 
+    /// A scan as it is fused: placed, without returns that are invalid or left out; and how well its pose was refined.
+    fn prepared(&mut self, read: ReadScan, name: &str) -> Result<(Scan, Option<Quality>)> {
+        let bad = |reason: String| BadScan {
+            scan: name.to_owned(),
+            reason,
+        };
+        let mut scan = read.scan.map_err(|error| bad(error.to_string()))?;
+        let quality = match &self.placer {
+            Placer::Refinement(refinement) => refinement.place(read.index, &mut scan),
+            Placer::Log | Placer::Odometry(_) => None,
+        };
+        if scan.pose.is_none() && matches!(self.placer, Placer::Odometry(_)) {
+            let reason = "its place in the saved map was not found: name a rough pose with --initial-pose, or go on looking with --skip-bad";
+            return Err(bad(reason.to_owned()).into());
+        }
+        let measured = self.setup.labels.is_some().then(|| scan.points.clone());
+        scan.drop_invalid(&self.setup.config.range);
+        if let Some(moving) = &mut self.moving {
+            let is_moving = moving.classify(&scan).map_err(|error| bad(error.to_string()))?;
+            if let (Some(folder), Some(measured)) = (&self.setup.labels, &measured) {
+                labels::write(folder, read.index, measured, &scan.points, &is_moving)?;
+            }
+            if self.setup.config.leaves_out_moving() {
+                scan.drop_moving(&is_moving);
+            }
+        }
+        Ok((scan, quality))
+    }
+
     fn take(
         &mut self,
         read: ReadScan,
@@ -646,32 +684,15 @@ impl Session {
         wait: f64,
         observer: &mut dyn Observer,
     ) -> Result<()> {
-        let ReadScan { index, sensor, .. } = read;
-        let bad = |scan: &str, reason: String| BadScan {
-            scan: scan.to_owned(),
-            reason,
-        };
-        let mut scan = read.scan.map_err(|error| bad(name, error.to_string()))?;
+        let ReadScan {
+            index,
+            sensor,
+            read_secs,
+            ..
+        } = read;
         let start = Instant::now();
-        let quality = match &self.placer {
-            Placer::Refinement(refinement) => refinement.place(index, &mut scan),
-            Placer::Log | Placer::Odometry(_) => quality,
-        };
-        if scan.pose.is_none() && matches!(self.placer, Placer::Odometry(_)) {
-            let reason = "its place in the saved map was not found: name a rough pose with --initial-pose, or go on looking with --skip-bad";
-            return Err(bad(name, reason.to_owned()).into());
-        }
-        let measured = self.setup.labels.is_some().then(|| scan.points.clone());
-        scan.drop_invalid(&self.setup.config.range);
-        if let Some(moving) = &mut self.moving {
-            let is_moving = moving.classify(&scan).map_err(|error| bad(name, error.to_string()))?;
-            if let (Some(folder), Some(measured)) = (&self.setup.labels, &measured) {
-                labels::write(folder, index, measured, &scan.points, &is_moving)?;
-            }
-            if self.setup.config.moving.leave_out {
-                scan.drop_moving(&is_moving);
-            }
-        }
+        let (scan, refined) = self.prepared(read, name)?;
+        let quality = refined.or(quality);
         self.guess_sensor(sensor, &scan);
         let dropping = start.elapsed().as_secs_f64();
         observer.on(Event::ScanRead { index, scan: &scan });
@@ -679,7 +700,11 @@ impl Session {
         let next = self.next.iter().take(AHEAD).flatten();
         self.backend.prefetch(&next.copied().collect::<Vec<_>>())?;
         let settled = self.backend.fuse(sensor, &scan).map_err(|failed| match failed {
-            Failed::Scan(reason) => bad(&scan.name, format!("{}: {reason}", self.name)).into(),
+            Failed::Scan(reason) => BadScan {
+                scan: scan.name.clone(),
+                reason: format!("{}: {reason}", self.name),
+            }
+            .into(),
             Failed::Run(error) => error,
         })?;
         if let (Some(layer), Some(map)) = (&mut self.layers.intensity, self.backend.map_around()) {
@@ -687,7 +712,7 @@ impl Session {
         }
         let took = start.elapsed().as_secs_f64();
         let sums = Sums {
-            read: read.read_secs,
+            read: read_secs,
             wait,
             prepare: dropping,
             fuse: took,

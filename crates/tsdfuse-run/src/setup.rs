@@ -121,6 +121,11 @@ impl Setup {
         self.memory_bytes.is_some() || self.store.is_some()
     }
 
+    /// Whether anybody wants to know which returns move.
+    pub(crate) fn tells_moving(&self) -> bool {
+        self.config.leaves_out_moving() || self.labels.is_some()
+    }
+
     /// Refuses what does not go together.
     ///
     /// # Errors
@@ -136,11 +141,6 @@ impl Setup {
         if self.intensity && self.device != Device::Cpu {
             return Err(RunError::config(
                 "--intensity needs a map that is fused by the CPU: leave out --device",
-            ));
-        }
-        if self.store.is_some() && (self.config.moving.leave_out || self.labels.is_some()) {
-            return Err(RunError::config(
-                "--store: a run that goes on would not know what was free before; leave out moving.leave_out and --labels",
             ));
         }
         if self.is_paged() {

@@ -243,6 +243,75 @@ fn a_run_that_is_stopped_leaves_what_a_commit_leaves_and_goes_on() {
 }
 
 #[test]
+fn what_moves_is_left_out_also_by_a_run_that_goes_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("log");
+    let mut writer = tsdfuse_io::plain::Writer::create(&path).unwrap();
+    for number in 0..16_u8 {
+        let square = |x: f32, y: f32, reach: i32| {
+            let side = (-reach..=reach).map(|i| 0.05 * i as f32);
+            side.clone()
+                .flat_map(|across| side.clone().map(move |up| Vec3::new(x, y + across, up)))
+                .collect::<Vec<_>>()
+        };
+        // From the ninth scan on, something passes before a wall.
+        let mut points = square(6.0, 0.0, 60);
+        if number >= 8 {
+            points.extend(square(3.5, 0.1 * f32::from(number) - 1.2, 6));
+        }
+        let scan = Scan {
+            name: format!("{number:06}"),
+            points,
+            pose: Some(Pose::IDENTITY),
+            ..Scan::default()
+        };
+        writer.write_scan(&scan).unwrap();
+    }
+    writer.finish().unwrap();
+    let job = |name: &str, settings: &[(&str, bool)]| {
+        let mut job = Job {
+            input: tsdfuse_run::Input {
+                path: path.clone(),
+                ..Default::default()
+            },
+            store: Some(dir.path().join(format!("{name}.store"))),
+            outputs: tsdfuse_run::Outputs {
+                map: Some(dir.path().join(format!("{name}.tsdf"))),
+                ..Default::default()
+            },
+            commit_every: 4,
+            ..Job::default()
+        };
+        for (key, value) in settings {
+            job.settings.set("here", key, *value).unwrap();
+        }
+        job
+    };
+    let moving = |report: &tsdfuse_run::Report| report.totals.sums.dropped.moving;
+    let map = |name: &str| std::fs::read(dir.path().join(format!("{name}.tsdf"))).unwrap();
+    let whole = job("whole", &[]).run(&Stop::default(), &mut Silent).unwrap();
+    assert_eq!(moving(&whole), 8 * 13 * 13);
+    let with = job("with", &[("moving.leave_out", false)])
+        .run(&Stop::default(), &mut Silent)
+        .unwrap();
+    assert_eq!(moving(&with), 0);
+
+    let stop = Stop::default();
+    let stopping = stop.clone();
+    let stopped = job("parts", &[]).run(&stop, &mut |event: Event<'_>| {
+        if let Event::ScanFused { index: 9, .. } = event {
+            stopping.stop();
+        }
+    });
+    assert!(stopped.unwrap().stopped);
+    let (again, resumed) = Job::of_store(&dir.path().join("parts.store")).unwrap();
+    let resumed = again.resume(resumed, &Stop::default(), &mut Silent).unwrap();
+    assert_eq!(moving(&resumed), moving(&whole));
+    assert!(map("parts") == map("whole"));
+    assert!(map("with") != map("whole"));
+}
+
+#[test]
 fn intensities_beside_a_store_go_on_as_if_nothing_had_been() {
     let dir = tempfile::tempdir().unwrap();
     write_log(&dir.path().join("log"), 9);

@@ -270,10 +270,17 @@ impl Scan {
     /// [`ScanError::NoPose`] names the scan.
     pub fn poses(&self) -> Result<impl Iterator<Item = Pose>, ScanError> {
         let (pose, sweep) = (self.world_from_sensor()?, self.sweep());
+        // Many returns in a row were measured at one time.
+        let mut last = (f32::NAN, pose);
         Ok((0..self.points.len()).map(move |i| {
             let secs = self.times.as_ref().and_then(|times| times.get(i));
             match (&sweep, secs) {
-                (Some(sweep), Some(&secs)) => sweep.at(f64::from(secs)),
+                (Some(sweep), Some(&secs)) => {
+                    if secs != last.0 {
+                        last = (secs, sweep.at(f64::from(secs)));
+                    }
+                    last.1
+                }
                 _ => pose,
             }
         }))

@@ -189,7 +189,7 @@ class _Run:
         # Over what the first log suggests of method and voxels; each log suggests its own ranges.
         flat = {**_flat(config), **_flat(asked.settings())}
         # A task knows not all returns of a scan, which tell how well it agrees with the map.
-        merged = Config({**flat, "patch.agreement": False})
+        merged = Config({**flat, "patch.agreement": False, "moving.leave_out": False})
         resolved = merged.resolve()
         self.additive = is_additive(resolved)
         if not self.additive and resolved["method"] not in BY_CELL:

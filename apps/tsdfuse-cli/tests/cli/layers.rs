@@ -1,7 +1,7 @@
 //! Intensities and colours beside maps, labels of what moves, and recordings.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::run::{Folder, command, names, tsdfuse};
 
@@ -101,39 +101,22 @@ fn tiles_have_colours() {
 }
 
 #[test]
-fn what_moves_is_labelled_and_left_out() {
+fn what_moves_is_labelled() {
     let folder = Folder::new();
     let (labels, report) = (folder.text("labels"), folder.text("report.json"));
-    let map = folder.text("map.tsdf");
-    fuse(&[
-        "--leave-out-moving",
-        "--labels",
-        &labels,
-        "--save-map",
-        &map,
-        "--report",
-        &report,
-    ]);
+    fuse(&["--moving", "fuse", "--labels", &labels, "--report", &report]);
     assert_eq!(
         names(Path::new(&labels)),
         ["000000.label", "000001.label", "000002.label"]
     );
     let report: serde_json::Value = serde_json::from_slice(&fs::read(report).unwrap()).unwrap();
-    assert_eq!(report["config"]["moving"]["leave_out"], true);
+    assert_eq!(report["config"]["moving"]["leave_out"], false);
     for (i, scan) in report["scans"].as_array().unwrap().iter().enumerate() {
         let labels = fs::read(folder.path(&format!("labels/{i:06}.label"))).unwrap();
         let of = |value: &serde_json::Value| value.as_u64().unwrap();
         let own = of(&scan["points"]) - of(&scan["dropped"]["other_sensor"]);
         assert_eq!(4 * own, labels.len() as u64);
     }
-    let store = folder.text("a.store");
-    let refused = tsdfuse(&["fuse", &sample(), "--store", &store, "--leave-out-moving"]);
-    assert_eq!(refused.code, 2);
-    assert!(
-        refused.stderr.contains("would not know what was free"),
-        "{}",
-        refused.stderr
-    );
 }
 
 #[test]

@@ -211,7 +211,9 @@ impl Live {
             failed: None,
         };
         let log = input.open_unplaced(&self.settings, &mut planner)?;
-        let config = self.settings.resolve(&log)?;
+        let mut config = self.settings.resolve(&log)?;
+        // That is told apart here, and timed by itself.
+        config.moving.leave_out = Some(false);
         let tracked = match self.poses {
             PosesFrom::Track => true,
             PosesFrom::Any => log.is_unplaced(),
