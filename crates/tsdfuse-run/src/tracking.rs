@@ -367,8 +367,9 @@ impl Refinement {
 /// A trajectory that was tracked, as a whole.
 #[derive(Default)]
 struct Way {
-    /// Of each scan, its number in the log.
+    /// Of each scan, its number in the log and its name.
     indices: Vec<usize>,
+    names: Vec<String>,
     times_ns: Vec<Option<i64>>,
     scans: Vec<Refined>,
 }
@@ -377,6 +378,7 @@ impl Way {
     fn push(&mut self, index: usize, scan: Scan, quality: Quality) {
         let Some(pose) = scan.pose else { return };
         self.indices.push(index);
+        self.names.push(scan.name);
         self.times_ns.push(scan.time_ns);
         self.scans.push(Refined {
             pose,
@@ -398,8 +400,8 @@ impl Way {
             let secs: Vec<f64> = times_ns.iter().map(|ns| 1e-9 * (ns - begin_ns) as f64).collect();
             bridge(&secs, &mut self.scans);
         }
-        for (index, scan) in self.indices.iter().zip(&mut self.scans) {
-            if let Some(corrections) = corrections {
+        if let Some(corrections) = corrections {
+            for (index, scan) in self.indices.iter().zip(&mut self.scans) {
                 *scan = scan.moved(&corrections.of(*index));
             }
         }
@@ -532,7 +534,7 @@ pub fn track(
     stop: &Stop,
 ) -> Result<Track> {
     let mut tracking = Tracking::new(log, config, limits)?;
-    let (mut names, mut way) = (Vec::new(), Way::default());
+    let mut way = Way::default();
     let mut loops = loops.map(|loops| Loops::of(log, loops)).transpose()?;
     let mut take = |placed: Vec<(ReadScan, Option<Quality>)>| {
         for (read, quality) in placed {
@@ -547,7 +549,6 @@ pub fn track(
             if let Some(loops) = &mut loops {
                 loops.push(index, &scan, &quality);
             }
-            names.push(scan.name.clone());
             way.push(index, scan, quality);
         }
         Ok::<_, RunError>(())
@@ -562,7 +563,7 @@ pub fn track(
     let closed = loops.map(Loops::finish);
     way.correct(&tracking, closed.as_ref());
     let (loops, graph) = closed.map(|closed| (closed.report, closed.graph)).unzip();
-    let scans = way.indices.into_iter().zip(way.times_ns).zip(way.scans).zip(names);
+    let scans = way.indices.into_iter().zip(way.times_ns).zip(way.scans).zip(way.names);
     let scans = scans.map(
         |(((index, time_ns), Refined { pose, quality, .. }), name)| TrackedScan {
             index,

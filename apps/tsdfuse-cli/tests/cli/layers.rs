@@ -83,7 +83,7 @@ fn tiles_have_colours() {
         let tiles = folder.text(&format!("tiles{}/tileset.json", more.len()));
         fuse(&[&["--intensity", "-o", &tiles], more].concat());
         let path = Path::new(&tiles).parent().unwrap();
-        let glbs: Vec<PathBuf> = names(path)
+        let glbs: Vec<_> = names(path)
             .iter()
             .filter(|name| name.ends_with(".glb"))
             .map(|name| path.join(name))

@@ -80,8 +80,8 @@ impl Shared {
 /// How far a viewer has been told.
 #[derive(Debug, Default)]
 pub(super) struct Seen {
-    /// How many times [`BATCH`] it wants, besides the first.
-    more_batches: usize,
+    /// How many times [`BATCH`] it wants at once; 0 until it answered, for one.
+    batches: usize,
     changes: u64,
     scene: u64,
     piece: u64,
@@ -97,7 +97,7 @@ impl Seen {
     /// What a viewer says when it has shown a message: `ok`, or `ok N` if it wants N times [`BATCH`].
     pub(super) fn answered(&mut self, answer: &str) {
         let batches: Option<usize> = answer.strip_prefix("ok ").and_then(|number| number.parse().ok());
-        self.more_batches = batches.unwrap_or(1).clamp(1, MOST_BATCHES) - 1;
+        self.batches = batches.unwrap_or(1).min(MOST_BATCHES);
     }
 }
 
@@ -253,7 +253,7 @@ impl State {
             body.push(bytes);
             length += bytes.len();
             seen.piece = version;
-            if length >= BATCH * (1 + seen.more_batches) {
+            if length >= BATCH * seen.batches.max(1) {
                 break;
             }
         }
