@@ -174,11 +174,7 @@ impl Moving {
     /// [`ScanError::NoPose`] names a scan without a pose.
     pub fn classify(&mut self, scan: &Scan) -> Result<Vec<bool>, ScanError> {
         let mut rays = Rays::of(scan, self.config.voxel_size_m, self.config.max_range_m)?;
-        let mut in_voxels: HashMap<IVec3, usize, FxBuildHasher> = HashMap::default();
-        for voxel in rays.hits.iter().flatten() {
-            *in_voxels.entry(*voxel).or_default() += 1;
-        }
-        let moving = self.moving(&in_voxels);
+        let moving = self.moving(&rays.hits);
         rays.thin();
         self.remember(rays.marks(), &moving);
         let chunk_m = self.config.voxel_size_m * f64::from(CHUNK);
@@ -186,13 +182,23 @@ impl Moving {
         self.chunks
             .retain(|index, _| (index.as_dvec3() * chunk_m).distance(sensor) < FORGOTTEN_M);
         let is_moving = |hit: &Option<IVec3>| hit.is_some_and(|voxel| moving.contains(&voxel));
-        Ok(rays.hits.iter().map(is_moving).collect())
+        Ok(rays.hits.par_iter().map(is_moving).collect())
     }
 
-    /// The voxels in which something moves, of those in which rays end and how many.
-    fn moving(&self, hits: &HashMap<IVec3, usize, FxBuildHasher>) -> HashSet<IVec3, FxBuildHasher> {
-        let mut voxels: Vec<IVec3> = hits.keys().copied().filter(|voxel| self.is_free(*voxel)).collect();
-        voxels.par_sort_unstable_by_key(IVec3::to_array);
+    /// The voxels in which something moves, of those in which rays end.
+    fn moving(&self, hits: &[Option<IVec3>]) -> HashSet<IVec3, FxBuildHasher> {
+        let free: Vec<IVec3> = hits
+            .par_iter()
+            .flatten()
+            .copied()
+            .filter(|voxel| self.is_free(*voxel))
+            .collect();
+        let mut returns: HashMap<IVec3, usize, FxBuildHasher> = HashMap::default();
+        for voxel in free {
+            *returns.entry(voxel).or_default() += 1;
+        }
+        let mut voxels: Vec<IVec3> = returns.keys().copied().collect();
+        voxels.sort_unstable_by_key(IVec3::to_array);
         let seeds: Vec<IVec3> = voxels.iter().copied().filter(|voxel| self.is_clear(*voxel)).collect();
         let free: HashSet<IVec3, FxBuildHasher> = voxels.into_iter().collect();
         let mut moving: HashSet<IVec3, FxBuildHasher> = seeds.iter().copied().collect();
@@ -205,14 +211,14 @@ impl Moving {
             }
             last = next;
         }
-        self.without_small(moving, hits)
+        self.without_small(moving, &returns)
     }
 
     /// Leaves out connected voxels with too few returns.
     fn without_small(
         &self,
         moving: HashSet<IVec3, FxBuildHasher>,
-        hits: &HashMap<IVec3, usize, FxBuildHasher>,
+        returns: &HashMap<IVec3, usize, FxBuildHasher>,
     ) -> HashSet<IVec3, FxBuildHasher> {
         let mut left = moving.clone();
         let mut kept = moving;
@@ -228,8 +234,8 @@ impl Moving {
                 let near = (0..27).map(|i| voxel + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1);
                 together.extend(near.filter(|near| left.remove(near)));
             }
-            let returns: usize = together.iter().filter_map(|voxel| hits.get(voxel)).sum();
-            if returns < self.config.min_returns {
+            let count: usize = together.iter().filter_map(|voxel| returns.get(voxel)).sum();
+            if count < self.config.min_returns {
                 together.iter().for_each(|voxel| {
                     kept.remove(voxel);
                 });

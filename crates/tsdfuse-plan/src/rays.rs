@@ -32,7 +32,9 @@ impl Rays {
             let hit = (is_inside && share == 1.0).then(|| ends[1].floor().as_ivec3());
             (is_inside.then_some(ends), hit)
         };
-        let (ends, hits) = scan.poses()?.zip(&scan.points).map(ray).unzip();
+        // Poses one after the other, since many returns in a row have the same.
+        let poses: Vec<tsdfuse::Pose> = scan.poses()?.collect();
+        let (ends, hits) = poses.into_par_iter().zip(&scan.points).map(ray).unzip();
         Ok(Self { ends, hits })
     }
 
