@@ -52,6 +52,22 @@ fn prefetch_at<T>(value: *const T) {
     let _ = value;
 }
 
+/// Where some values lie that will soon be looked at, and may change until then.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Hint<T>(*const T);
+
+impl<T> Hint<T> {
+    pub(crate) fn of(values: &[T]) -> Self {
+        Self(values.as_ptr())
+    }
+
+    /// Prefetches one of them.
+    #[inline(always)]
+    pub(crate) fn prefetch(self, number: usize) {
+        prefetch_at(self.0.wrapping_add(number));
+    }
+}
+
 /// The blocks of one part of a map, by number. Blocks never move; whole slabs of them can be taken out and put in.
 #[derive(Debug, Default)]
 pub(crate) struct Blocks {

@@ -9,7 +9,7 @@ use glam::IVec3;
 use hashbrown::HashMap;
 use rustc_hash::FxBuildHasher;
 
-use super::block::{Block, Voxel};
+use super::block::Voxel;
 use crate::{
     index::{BLOCK_VOXELS, BlockIndex, REGION_BLOCKS, block_of_region, in_region},
     memory::{Blocks, Near, OutOfMemory, Pool, SLAB_BLOCKS},
@@ -218,23 +218,19 @@ impl Shard {
         }
     }
 
-    /// Visits all blocks of some regions, and tells of each whether integration number `stamp` updated it.
-    pub(crate) fn for_each_block_mut(
-        &mut self,
+    /// All blocks of some regions: indices, slots, and whether integration number `stamp` updated them.
+    pub(crate) fn blocks_of(
+        &self,
         stamp: u32,
         is_wanted: impl Fn(IVec3) -> bool,
-        mut visit: impl FnMut(BlockIndex, bool, &mut Block),
-    ) {
-        for region in self.regions.iter().filter(|region| is_wanted(region.index)) {
-            for (number, slot) in region.there() {
-                let updated = region.stamp == stamp && region.updated[number / 64] >> (number % 64) & 1 == 1;
-                visit(
-                    block_of_region(region.index, number),
-                    updated,
-                    &mut self.blocks[slot as usize],
-                );
-            }
-        }
+    ) -> impl Iterator<Item = (BlockIndex, u32, bool)> {
+        let regions = self.regions.iter().filter(move |region| is_wanted(region.index));
+        regions.flat_map(move |region| {
+            region.there().map(move |(number, slot)| {
+                let is_updated = region.stamp == stamp && region.updated[number / 64] >> (number % 64) & 1 == 1;
+                (block_of_region(region.index, number), slot, is_updated)
+            })
+        })
     }
 
     /// The indices of all blocks, in any order.
