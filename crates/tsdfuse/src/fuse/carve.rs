@@ -242,8 +242,8 @@ impl Carver {
             let (bins, at) = Self::cells(&middles, columns);
             for (lane, number) in eight.enumerate() {
                 let near = seen.image.get(self.ring(bins[lane]), at[lane] as usize % columns);
-                let is_passed = near
-                    .is_some_and(|i| (seen.placed.points[i] - seen.placed.origin(i)).length_squared() > far2[lane]);
+                let is_passed =
+                    near.is_some_and(|i| (seen.placed.points[i] - seen.placed.origin(i)).length_squared() > far2[lane]);
                 blocks[kept] = blocks[number];
                 kept += usize::from(is_passed);
             }

@@ -150,33 +150,6 @@ pub enum Planes {
     Four,
 }
 
-/// The voxels beside a line in a plane, two or three wide along one axis and along the other, by pairs: how many along the one axis,
-/// and along the other. (Four along is farther than any.)
-const PAIRS: [[&[[[f32; 2]; 2]]; 2]; 2] = [
-    [
-        &[[[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [1.0, 1.0]]],
-        &[
-            [[0.0, 0.0], [0.0, 1.0]],
-            [[1.0, 1.0], [0.0, 1.0]],
-            [[2.0, 2.0], [0.0, 1.0]],
-        ],
-    ],
-    [
-        &[
-            [[0.0, 1.0], [0.0, 0.0]],
-            [[0.0, 1.0], [1.0, 1.0]],
-            [[0.0, 1.0], [2.0, 2.0]],
-        ],
-        &[
-            [[0.0, 1.0], [0.0, 0.0]],
-            [[0.0, 1.0], [1.0, 1.0]],
-            [[0.0, 1.0], [2.0, 2.0]],
-            [[2.0, 2.0], [0.0, 1.0]],
-            [[2.0, 2.0], [2.0, 4.0]],
-        ],
-    ],
-];
-
 /// Which of 2 × 2 × 2 regions there are, if there is a second one along x (1), y (2) and z (4).
 const CORNERS: [u64; 8] = [
     0b0000_0001,
@@ -318,11 +291,13 @@ impl Lines {
                     };
                     for Run { lines, numbers, .. } in runs {
                         dispatch!(*level, simd => for (k, &number) in numbers.iter().enumerate() {
-                            if let Some(&later) = numbers.get(k + AHEAD) {
-                                prefetch(&lines[later as usize].axis);
-                            }
-                            update(simd, &lines[number as usize], rule, region, &mut writer);
-                        });
+                                                   if let Some(&later) = numbers.get(k + AHEAD) {
+                                                       let later = &lines[later as usize];
+                        prefetch(&later.center);
+                        prefetch(&later.weight);
+                                                   }
+                                                   update(simd, &lines[number as usize], rule, region, &mut writer);
+                                               });
                     }
                     writer.ask();
                     writer.write();
@@ -586,22 +561,34 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
                 }
             }
             Planes::Four => {
-                for &[j, i] in PAIRS[wide_w - 2][wide_u - 2] {
-                    let u = Places::<S, U>::of(u + pair(simd, j), fraction[U], axis[U], center[U]);
-                    let w = Places::<S, W>::of(w + pair(simd, i), fraction[W], axis[W], center[W]);
-                    find(&m, &u, &w, &rule_of_line, queue, &mut found);
+                // Two beside each other along U, with two or three along W; then, if there is a third along U, two and two along W.
+                let two = f32x8::simd_from(simd, [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]);
+                let (fraction_u, axis_u, center_u) = (fraction[U], axis[U], center[U]);
+                let (fraction_w, axis_w, center_w) = (fraction[W], axis[W], center[W]);
+                let u_two = Places::<S, U>::of(u + two, fraction_u, axis_u, center_u);
+                let beside = Places::<S, W>::of(w, fraction_w, axis_w, center_w);
+                find(&m, &u_two, &beside, &rule_of_line, queue, &mut found);
+                let beside = Places::<S, W>::of(w + 1.0, fraction_w, axis_w, center_w);
+                find(&m, &u_two, &beside, &rule_of_line, queue, &mut found);
+                if wide_w == 3 {
+                    let beside = Places::<S, W>::of(w + 2.0, fraction_w, axis_w, center_w);
+                    find(&m, &u_two, &beside, &rule_of_line, queue, &mut found);
+                }
+                if wide_u == 3 {
+                    let u_third = Places::<S, U>::of(u + 2.0, fraction_u, axis_u, center_u);
+                    let beside = Places::<S, W>::of(w + two, fraction_w, axis_w, center_w);
+                    find(&m, &u_third, &beside, &rule_of_line, queue, &mut found);
+                    if wide_w == 3 {
+                        // The fourth is farther than any.
+                        let beside = Places::<S, W>::of(w + (two + two + 2.0), fraction_w, axis_w, center_w);
+                        find(&m, &u_third, &beside, &rule_of_line, queue, &mut found);
+                    }
                 }
             }
         }
         queue.found = found;
         plane += count;
     }
-}
-
-/// The one number for four lanes, the other for the others.
-#[inline(always)]
-fn pair<S: Simd>(simd: S, [a, b]: [f32; 2]) -> f32x8<S> {
-    f32x8::simd_from(simd, [a, a, a, a, b, b, b, b])
 }
 
 /// Finds which of eight voxels are updated. (A function, since closures are not compiled for the CPU's vector instructions where
