@@ -475,6 +475,31 @@ mod tests {
     }
 
     #[test]
+    fn near_blocks_are_those_of_their_slots() {
+        let mut blocks = Blocks::of(&Arc::default());
+        blocks.push().unwrap();
+        let mut near = Near::new(&mut blocks);
+        assert!(!near.prefetch(3, 5) && near.voxel(3, 5).is_none());
+        let slot = near.push().unwrap() + 6;
+        near.insert(3, slot);
+        near.insert(4, 7);
+        near.insert(5, 1000);
+        assert!(near.prefetch(3, 5) && near.prefetch(4, 5) && !near.prefetch(5, 5));
+        marked(near.voxel(3, 5).unwrap(), 1);
+        marked(near.voxel(4, 511).unwrap(), 2);
+        let marks = |number: usize, voxel: usize| blocks[number].voxels[voxel].weight_sum;
+        assert_eq!((marks(slot as usize, 5), marks(7, 511)), (1, 2));
+        assert_eq!(
+            blocks
+                .iter()
+                .flat_map(|block| block.voxels)
+                .filter(|v| v.weight_sum > 0)
+                .count(),
+            2
+        );
+    }
+
+    #[test]
     fn blocks_are_empty_at_first_and_nobody_elses() {
         let pool = Arc::default();
         let mut parts = [Blocks::of(&pool), Blocks::of(&pool)];

@@ -816,6 +816,9 @@ mod tests {
             let of = |level, lines: &[Line]| fused(level, lines, config(), &Euclidean).0;
             let maps: Vec<VoxelMap> = levels().into_iter().map(|level| of(level, &lines)).collect();
             prop_assert!(maps.iter().all(|map| *map == maps[0]));
+            let short = |level| fused(level, &lines, config(), &AlongPatch { truncation: 5.0 }).0;
+            let patches: Vec<VoxelMap> = levels().into_iter().map(short).collect();
+            prop_assert!(patches.iter().all(|map| *map == patches[0]));
             // And the comparison would see one that is missing.
             prop_assert!(of(Level::new(), &lines[1..]) != maps[0] || lines[0].weight < 1.0 / 32_768.0);
         }
