@@ -388,3 +388,92 @@ fn fade(voxel: &mut Voxel) {
         *voxel = Voxel::default();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Pose,
+        fuse::depth::world_axes,
+        index::Grid,
+        scan::PoseAt,
+        sensor::{model, testing::scan_room},
+    };
+
+    /// Which blocks the rays of a scan of a room pass: eight at a time, and literally.
+    fn check(motion: Vec<PoseAt>) {
+        let (sensor, grid) = (model("os1-64").unwrap(), Grid::new(0.05));
+        let (points, rings) = scan_room(&sensor, |_| 0.0);
+        let secs = |i: usize| 0.1 * i as f32 / points.len() as f32;
+        let scan = Scan {
+            times: Some((0..points.len()).map(secs).collect()),
+            rings: Some(rings),
+            pose: Some(Pose::IDENTITY),
+            motion,
+            points,
+            ..Scan::default()
+        };
+        let (mut image, mut placed) = (ScanImage::new(), Placed::default());
+        image.update(&scan.points, scan.rings.as_ref().unwrap(), &sensor);
+        let centers = Centers {
+            anchor: placed.place(grid, &scan).unwrap(),
+            origin: Vec3::ZERO,
+            rotation: world_axes(&scan).unwrap().transpose(),
+            voxel_size_m: 0.05,
+        };
+        let mut carver = Carver::default();
+        carver.measure(&sensor);
+        let seen = Seen::new(&scan, &image, &placed, &[], centers, Agreement::default());
+        let cube = -12..12;
+        let blocks = cube
+            .clone()
+            .flat_map(|z| cube.clone().map(move |x| IVec3::new(x, z / 2, z)));
+        let examined = |index| Examined {
+            index: BlockIndex(index),
+            slot: 0,
+            is_updated: false,
+            column: 0,
+        };
+        let mut passed: Vec<Examined> = blocks.map(examined).collect();
+        let all = passed.clone();
+        dispatch!(Level::new(), _ => carver.keep_passed(&mut passed, &seen));
+        let cell = |p: Vec3| {
+            let (bins, columns) = Carver::cells(&[[p.x; ROW], [p.y; ROW], [p.z; ROW]], image.columns());
+            (carver.ring(bins[0]), columns[0] as usize % image.columns())
+        };
+        let literal = all.iter().filter(|block| {
+            let column = cell(centers.of_block(block.index)).1;
+            let then = if seen.columns.is_empty() {
+                Some(centers)
+            } else {
+                seen.columns[column]
+            };
+            then.is_some_and(|then| {
+                let p = then.of_block(block.index);
+                let (ring, column) = cell(p);
+                let far_m = p.length() + BLOCK_RADIUS * 0.05;
+                let length = |i: usize| (placed.points[i] - placed.origin(i)).length();
+                image.get(ring, column).is_some_and(|i| length(i) > far_m)
+            })
+        });
+        let literal: Vec<BlockIndex> = literal.map(|block| block.index).collect();
+        let passed: Vec<BlockIndex> = passed.iter().map(|block| block.index).collect();
+        assert!(
+            passed == literal && literal.len() > 50 && literal.len() < all.len(),
+            "{}",
+            literal.len()
+        );
+    }
+
+    #[test]
+    fn blocks_that_rays_pass_are_found_eight_at_a_time() {
+        check(Vec::new());
+        check(vec![PoseAt {
+            secs: 0.1,
+            pose: Pose {
+                translation: glam::DVec3::new(0.5, 0.2, 0.0),
+                ..Pose::IDENTITY
+            },
+        }]);
+    }
+}
