@@ -246,12 +246,16 @@ impl Anchor {
     }
 }
 
-/// The floor of numbers that fit an i32: a few instructions, where the library's is a call on the x86-64 baseline.
+/// The floor of numbers below 2³⁰ in magnitude: a few instructions, where the library's is a call on the x86-64 baseline, and conversions look for
+/// numbers that do not fit. Of others it is any number.
 #[inline(always)]
 pub(crate) fn floor(v: DVec3) -> IVec3 {
-    let towards_zero = v.as_ivec3();
-    let above = towards_zero.as_dvec3().cmpgt(v);
-    towards_zero - IVec3::new(above.x.into(), above.y.into(), above.z.into())
+    // As with `ROUND`, the nearest integer sits in the low bits of the sum.
+    const ROUND: f64 = 6_755_399_441_055_744.0;
+    let sum = v + ROUND;
+    let above = (sum - ROUND).cmpgt(v);
+    let nearest = IVec3::new(sum.x.to_bits() as i32, sum.y.to_bits() as i32, sum.z.to_bits() as i32);
+    nearest - IVec3::new(above.x.into(), above.y.into(), above.z.into())
 }
 
 /// Adding this makes an f32 below 2²² in magnitude round to the nearest integer, which then sits in its low bits: cheaper than
@@ -274,6 +278,11 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn floors_are_those_of_the_library(v in prop::array::uniform3(prop_oneof![-1e9..1e9f64, -3.0..3.0f64, (-9..9i32).prop_map(f64::from)])) {
+            prop_assert_eq!(floor(v.into()), DVec3::from(v).floor().as_ivec3());
+        }
+
         #[test]
         fn block_and_local_name_the_voxel(v in any_voxel()) {
             prop_assert_eq!(voxel_at(BlockIndex::of(v), local_number(v)), v);

@@ -20,28 +20,52 @@ use hashbrown::HashMap;
 use memmap2::{MmapOptions, MmapRaw};
 use rustc_hash::FxBuildHasher;
 
-use crate::map::block::Block;
+use crate::{
+    index::BLOCK_VOXELS,
+    map::block::{Block, Voxel},
+};
 pub use limit::OutOfMemory;
 use limit::default_limit;
 
 /// Tells the CPU to fetch the cache line of a value that will soon be changed. Only a hint: it does nothing on CPUs for which no
 /// instruction is known here.
-#[allow(unsafe_code)]
 #[inline(always)]
 pub(crate) fn prefetch<T>(value: &T) {
-    // SAFETY: the instruction reads and writes nothing and never faults, whatever the address; here it is that of a reference.
+    prefetch_at(std::ptr::from_ref(value));
+}
+
+#[allow(unsafe_code)]
+#[inline(always)]
+fn prefetch_at<T>(value: *const T) {
+    // SAFETY: the instruction reads and writes nothing and never faults, whatever the address.
     #[cfg(target_arch = "x86_64")]
     unsafe {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast());
+        _mm_prefetch::<_MM_HINT_T0>(value.cast());
     }
     // SAFETY: as above; the address is its only operand, and it changes neither flags nor memory.
     #[cfg(target_arch = "aarch64")]
     unsafe {
-        std::arch::asm!("prfm pstl1keep, [{}]", in(reg) std::ptr::from_ref(value), options(nostack, readonly, preserves_flags));
+        std::arch::asm!("prfm pstl1keep, [{}]", in(reg) value, options(nostack, readonly, preserves_flags));
     }
     #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
     let _ = value;
+}
+
+/// Where some values lie that will soon be looked at, and may change until then.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Hint<T>(*const T);
+
+impl<T> Hint<T> {
+    pub(crate) fn of(values: &[T]) -> Self {
+        Self(values.as_ptr())
+    }
+
+    /// Prefetches one of them.
+    #[inline(always)]
+    pub(crate) fn prefetch(self, number: usize) {
+        prefetch_at(self.0.wrapping_add(number));
+    }
 }
 
 /// The blocks of one part of a map, by number. Blocks never move; whole slabs of them can be taken out and put in.
@@ -172,6 +196,59 @@ impl Clone for Blocks {
 impl Drop for Blocks {
     fn drop(&mut self) {
         self.pool.lock().release(self.slab_count());
+    }
+}
+
+/// Some of the blocks, under numbers of one's own: where they are is looked up once.
+#[derive(Debug)]
+pub(crate) struct Near<'a> {
+    blocks: &'a mut Blocks,
+    /// Null where no block is known.
+    known: [*mut Block; NEAR],
+}
+
+/// Numbers are below this.
+pub(crate) const NEAR: usize = 512;
+
+impl<'a> Near<'a> {
+    /// None yet.
+    pub(crate) fn new(blocks: &'a mut Blocks) -> Self {
+        Self {
+            blocks,
+            known: [std::ptr::null_mut(); NEAR],
+        }
+    }
+
+    /// [`Blocks::push`].
+    pub(crate) fn push(&mut self) -> Result<u32, OutOfMemory> {
+        self.blocks.push()
+    }
+
+    /// Gives a block a number.
+    pub(crate) fn insert(&mut self, number: usize, slot: u32) {
+        let slot = slot as usize;
+        let slab = self.blocks.slabs.get(slot / SLAB_BLOCKS).and_then(Option::as_ref);
+        self.known[number % NEAR] = slab.map_or(std::ptr::null_mut(), |slab| {
+            let first: *mut Block = slab.blocks.as_ptr().cast();
+            first.wrapping_add(slot % SLAB_BLOCKS)
+        });
+    }
+
+    /// Prefetches a voxel; false if the block is not known.
+    #[inline(always)]
+    pub(crate) fn prefetch(&self, number: usize, voxel: usize) -> bool {
+        let block = self.known[number % NEAR];
+        prefetch_at(block.cast::<Voxel>().wrapping_add(voxel % BLOCK_VOXELS));
+        !block.is_null()
+    }
+
+    /// A voxel; `None` if the block is not known.
+    #[allow(unsafe_code)]
+    #[inline(always)]
+    pub(crate) fn voxel(&mut self, number: usize, voxel: usize) -> Option<&mut Voxel> {
+        // SAFETY: null or a block of `blocks`: those do not move, and no slab is taken out or reached in another way as long as this borrows them.
+        let block = unsafe { self.known[number % NEAR].as_mut() };
+        block.map(|block| &mut block.voxels[voxel % BLOCK_VOXELS])
     }
 }
 
@@ -392,10 +469,34 @@ impl fmt::Debug for Slab {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::map::Voxel;
 
     fn marked(voxel: &mut Voxel, mark: usize) {
         voxel.weight_sum = mark as u32;
+    }
+
+    #[test]
+    fn near_blocks_are_those_of_their_slots() {
+        let mut blocks = Blocks::of(&Arc::default());
+        blocks.push().unwrap();
+        let mut near = Near::new(&mut blocks);
+        assert!(!near.prefetch(3, 5) && near.voxel(3, 5).is_none());
+        let slot = near.push().unwrap() + 6;
+        near.insert(3, slot);
+        near.insert(4, 7);
+        near.insert(5, 1000);
+        assert!(near.prefetch(3, 5) && near.prefetch(4, 5) && !near.prefetch(5, 5));
+        marked(near.voxel(3, 5).unwrap(), 1);
+        marked(near.voxel(4, 511).unwrap(), 2);
+        let marks = |number: usize, voxel: usize| blocks[number].voxels[voxel].weight_sum;
+        assert_eq!((marks(slot as usize, 5), marks(7, 511)), (1, 2));
+        assert_eq!(
+            blocks
+                .iter()
+                .flat_map(|block| block.voxels)
+                .filter(|v| v.weight_sum > 0)
+                .count(),
+            2
+        );
     }
 
     #[test]

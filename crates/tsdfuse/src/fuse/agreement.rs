@@ -10,7 +10,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::{
-    index::{Anchor, BlockIndex, GridPoint, local_number},
+    index::{Anchor, BlockIndex, GridPoint, floor, local_number},
     map::{Block, Voxel, VoxelMap},
     patch::{Patch, SAMPLE},
 };
@@ -146,8 +146,8 @@ fn offset(map: &VoxelMap, at: GridPoint, normal: Vec3) -> Option<f32> {
     let mut last_block: Option<(BlockIndex, Option<&Block>)> = None;
     // How far a voxel's centre is along the normal, and its distance to the surface.
     let mut read = |step: f32| {
-        let corner = (at.fraction + normal * step).floor();
-        let place = at.voxel + corner.as_ivec3();
+        let low = floor((at.fraction + normal * step).as_dvec3());
+        let (corner, place) = (low.as_vec3(), at.voxel + low);
         let index = BlockIndex::of(place);
         let block = match last_block {
             Some((last, block)) if last == index => block,

@@ -22,6 +22,7 @@ use super::{
 use crate::{
     index::{BLOCK_EDGE, BlockIndex, REGION_SHIFT, local_number},
     map::{Block, Voxel, VoxelMap, WEIGHT_SCALE},
+    memory::Hint,
     patch::Patch,
     scan::Scan,
     sensor::{Projection, ScanImage, SensorModel, approx::atan2_f32},
@@ -98,16 +99,26 @@ impl<'a> Seen<'a> {
         }
     }
 
-    /// As the sensor sees a block when it turns to it; `None` where no ray came back.
-    #[inline(always)]
-    fn centers_at(&self, index: BlockIndex) -> Option<Centers> {
-        if self.columns.is_empty() {
-            return Some(self.centers);
-        }
-        let p = self.centers.of_block(index);
-        let (_, columns) = Carver::cells(&[[p.x; ROW], [p.y; ROW], [p.z; ROW]], self.image.columns());
-        self.columns[columns[0] as usize % self.columns.len()]
+    /// How many columns tell where the sensor was; one tells it for all if it did not move.
+    fn moments(&self) -> usize {
+        self.columns.len().max(1)
     }
+
+    /// As the sensor sees blocks at the moment of a column; `None` where no ray came back.
+    #[inline(always)]
+    fn centers_at(&self, column: usize) -> Option<&Centers> {
+        self.columns.get(column).map_or(Some(&self.centers), Option::as_ref)
+    }
+}
+
+/// A block that may be carved.
+#[derive(Clone, Copy)]
+struct Examined {
+    index: BlockIndex,
+    slot: u32,
+    is_updated: bool,
+    /// The column at which the sensor turns to it.
+    column: usize,
 }
 
 /// Keeps its buffers from scan to scan.
@@ -140,20 +151,32 @@ impl Carver {
             .shards
             .par_iter_mut()
             .map(|shard| {
-                let mut carved = Vec::new();
                 let near = |region: IVec3| {
                     let middle = seen.centers.anchor.offset_of(region << REGION_SHIFT) + 0.5 * region_m;
                     middle.length() < farthest + region_m
                 };
-                shard.for_each_block_mut(stamp, near, |index, updated, block| {
-                    let turns = TURNS[usize::from(updated)];
-                    if (index.0.element_sum() as u32).wrapping_add(stamp).is_multiple_of(turns)
-                        && dispatch!(level, _ => this.carve_block(index, block, !updated, seen, inside))
-                        && !updated
-                    {
-                        carved.push(index);
-                    }
+                let has_turn = |block: &Examined| {
+                    let turns = TURNS[usize::from(block.is_updated)];
+                    let number = block.index.0.element_sum() as u32;
+                    number.wrapping_add(stamp).is_multiple_of(turns)
+                };
+                let blocks = shard.blocks_of(stamp, near).map(|(index, slot, is_updated)| Examined {
+                    index,
+                    slot,
+                    is_updated,
+                    column: 0,
                 });
+                let mut blocks: Vec<Examined> = blocks.filter(has_turn).collect();
+                dispatch!(level, _ => this.keep_passed(&mut blocks, seen));
+                let mut carved = Vec::new();
+                for (k, block) in blocks.iter().enumerate() {
+                    let next = blocks.get(k + 1).unwrap_or(block);
+                    let next = Hint::of(&shard.blocks()[next.slot as usize].voxels);
+                    let voxels = &mut shard.blocks_mut()[block.slot as usize];
+                    if dispatch!(level, _ => this.carve_block(block, voxels, next, seen, inside)) && !block.is_updated {
+                        carved.push(block.index);
+                    }
+                }
                 carved
             })
             .collect();
@@ -190,25 +213,57 @@ impl Carver {
         usize::from(self.rings[(bin as usize).min(self.rings.len() - 1)])
     }
 
-    /// Whether the ray nearest to the middle of a block ends behind the block.
+    /// Keeps those of some blocks that the ray nearest to their middle ends behind. Eight at a time.
     #[inline(always)]
-    fn may_be_passed(&self, index: BlockIndex, centers: &Centers, seen: &Seen<'_>) -> bool {
-        let p = centers.of_block(index);
-        let (bins, columns) = Self::cells(&[[p.x; ROW], [p.y; ROW], [p.z; ROW]], seen.image.columns());
-        let near = seen
-            .image
-            .get(self.ring(bins[0]), columns[0] as usize % seen.image.columns());
-        let far_m = p.length() + BLOCK_RADIUS * centers.voxel_size_m;
-        near.is_some_and(|i| (seen.placed.points[i] - seen.placed.origin(i)).length_squared() > far_m * far_m)
+    fn keep_passed(&self, blocks: &mut Vec<Examined>, seen: &Seen<'_>) {
+        let columns = seen.image.columns();
+        let mut kept = 0;
+        for first in (0..blocks.len()).step_by(ROW) {
+            let eight = first..(first + ROW).min(blocks.len());
+            let (mut middles, mut far2) = ([[0.0; ROW]; 3], [f32::INFINITY; ROW]);
+            if !seen.columns.is_empty() {
+                for (lane, block) in blocks[eight.clone()].iter().enumerate() {
+                    let p = seen.centers.of_block(block.index);
+                    (middles[0][lane], middles[1][lane], middles[2][lane]) = (p.x, p.y, p.z);
+                }
+                let (_, at) = Self::cells(&middles, columns);
+                for (block, column) in blocks[eight.clone()].iter_mut().zip(at) {
+                    block.column = column as usize % seen.moments();
+                }
+            }
+            for (lane, block) in blocks[eight.clone()].iter().enumerate() {
+                if let Some(centers) = seen.centers_at(block.column) {
+                    let p = centers.of_block(block.index);
+                    (middles[0][lane], middles[1][lane], middles[2][lane]) = (p.x, p.y, p.z);
+                    let far_m = p.length() + BLOCK_RADIUS * centers.voxel_size_m;
+                    far2[lane] = far_m * far_m;
+                }
+            }
+            let (bins, at) = Self::cells(&middles, columns);
+            for (lane, number) in eight.enumerate() {
+                let near = seen.image.get(self.ring(bins[lane]), at[lane] as usize % columns);
+                let is_passed =
+                    near.is_some_and(|i| (seen.placed.points[i] - seen.placed.origin(i)).length_squared() > far2[lane]);
+                blocks[kept] = blocks[number];
+                kept += usize::from(is_passed);
+            }
+        }
+        blocks.truncate(kept);
     }
 
-    /// Carves a whole block, or voxels of it, that are `inside` by this much in units of F; tells whether any changed.
+    /// Carves a whole block if the scan did not update it, else voxels of it, that are `inside` by this much in units of F; tells whether any
+    /// changed. `next` is fetched from memory meanwhile.
     #[inline(always)]
-    fn carve_block(&self, index: BlockIndex, block: &mut Block, whole: bool, seen: &Seen<'_>, inside: f32) -> bool {
-        let Some(centers) = seen
-            .centers_at(index)
-            .filter(|centers| self.may_be_passed(index, centers, seen))
-        else {
+    fn carve_block(
+        &self,
+        examined: &Examined,
+        block: &mut Block,
+        next: Hint<Voxel>,
+        seen: &Seen<'_>,
+        inside: f32,
+    ) -> bool {
+        let (index, whole) = (examined.index, !examined.is_updated);
+        let Some(centers) = seen.centers_at(examined.column) else {
             return false;
         };
         // One bit a voxel.
@@ -219,6 +274,7 @@ impl Carver {
         for row in 0..BLOCK_EDGE * BLOCK_EDGE {
             let (y, z) = (row % BLOCK_EDGE, row / BLOCK_EDGE);
             let start = ROW * row as usize;
+            next.prefetch(start);
             let row = &block.voxels[start..start + ROW];
             // The sign of the sum is that of F.
             if row.iter().fold(0, |signs, voxel| signs | voxel.distance_sum) >= 0 {
@@ -330,5 +386,94 @@ fn fade(voxel: &mut Voxel) {
     };
     if voxel.weight_sum < FORGOTTEN {
         *voxel = Voxel::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Pose,
+        fuse::depth::world_axes,
+        index::Grid,
+        scan::PoseAt,
+        sensor::{model, testing::scan_room},
+    };
+
+    /// Which blocks the rays of a scan of a room pass: eight at a time, and literally.
+    fn check(motion: Vec<PoseAt>) {
+        let (sensor, grid) = (model("os1-64").unwrap(), Grid::new(0.05));
+        let (points, rings) = scan_room(&sensor, |_| 0.0);
+        let secs = |i: usize| 0.1 * i as f32 / points.len() as f32;
+        let scan = Scan {
+            times: Some((0..points.len()).map(secs).collect()),
+            rings: Some(rings),
+            pose: Some(Pose::IDENTITY),
+            motion,
+            points,
+            ..Scan::default()
+        };
+        let (mut image, mut placed) = (ScanImage::new(), Placed::default());
+        image.update(&scan.points, scan.rings.as_ref().unwrap(), &sensor);
+        let centers = Centers {
+            anchor: placed.place(grid, &scan).unwrap(),
+            origin: Vec3::ZERO,
+            rotation: world_axes(&scan).unwrap().transpose(),
+            voxel_size_m: 0.05,
+        };
+        let mut carver = Carver::default();
+        carver.measure(&sensor);
+        let seen = Seen::new(&scan, &image, &placed, &[], centers, Agreement::default());
+        let cube = -12..12;
+        let blocks = cube
+            .clone()
+            .flat_map(|z| cube.clone().map(move |x| IVec3::new(x, z / 2, z)));
+        let examined = |index| Examined {
+            index: BlockIndex(index),
+            slot: 0,
+            is_updated: false,
+            column: 0,
+        };
+        let mut passed: Vec<Examined> = blocks.map(examined).collect();
+        let all = passed.clone();
+        dispatch!(Level::new(), _ => carver.keep_passed(&mut passed, &seen));
+        let cell = |p: Vec3| {
+            let (bins, columns) = Carver::cells(&[[p.x; ROW], [p.y; ROW], [p.z; ROW]], image.columns());
+            (carver.ring(bins[0]), columns[0] as usize % image.columns())
+        };
+        let literal = all.iter().filter(|block| {
+            let column = cell(centers.of_block(block.index)).1;
+            let then = if seen.columns.is_empty() {
+                Some(centers)
+            } else {
+                seen.columns[column]
+            };
+            then.is_some_and(|then| {
+                let p = then.of_block(block.index);
+                let (ring, column) = cell(p);
+                let far_m = p.length() + BLOCK_RADIUS * 0.05;
+                let length = |i: usize| (placed.points[i] - placed.origin(i)).length();
+                image.get(ring, column).is_some_and(|i| length(i) > far_m)
+            })
+        });
+        let literal: Vec<BlockIndex> = literal.map(|block| block.index).collect();
+        let passed: Vec<BlockIndex> = passed.iter().map(|block| block.index).collect();
+        assert!(
+            passed == literal && literal.len() > 50 && literal.len() < all.len(),
+            "{}",
+            literal.len()
+        );
+    }
+
+    #[test]
+    fn blocks_that_rays_pass_are_found_eight_at_a_time() {
+        check(Vec::new());
+        check(vec![PoseAt {
+            secs: 0.1,
+            pose: Pose {
+                translation: glam::DVec3::new(0.5, 0.2, 0.0),
+                ..Pose::IDENTITY
+            },
+        }]);
     }
 }

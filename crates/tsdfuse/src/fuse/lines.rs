@@ -25,7 +25,7 @@
 
 use std::time::Instant;
 
-use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, mask32x8, prelude::*, u32x8};
+use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, i32x4, i32x8, mask32x8, prelude::*};
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
@@ -35,11 +35,8 @@ use super::{
     engine::{Counts, PIECES, Skip, fixed_row},
 };
 use crate::{
-    index::{
-        BLOCK_VOXELS, BlockIndex, GridPoint, REGION_BITS, REGION_BLOCKS, REGION_SHIFT, ROUND, SHARDS, round,
-        shard_of_region,
-    },
-    map::{NO_SLOT, OutOfMemory, Shard, VoxelMap},
+    index::{BlockIndex, GridPoint, REGION_BITS, REGION_SHIFT, ROUND, SHARDS, round, shard_of_region},
+    map::{OpenRegion, OutOfMemory, VoxelMap},
     memory::prefetch,
 };
 
@@ -98,11 +95,26 @@ impl Shape {
         self.capped(axis_m.abs() * reach + across * VOXEL_RADIUS, reach)
     }
 
-    /// [`Self::reach`] along all axes, or a little more, which takes no roots.
+    /// The first and the last region that a line may reach into, along each axis.
     #[inline(always)]
-    fn half_box(self, axis: Vec3, reach: f32) -> Vec3 {
-        let Vec3 { x, y, z } = axis.abs() * reach + VOXEL_RADIUS;
-        Vec3::new(self.capped(x, reach), self.capped(y, reach), self.capped(z, reach))
+    fn regions<S: Simd>(self, simd: S, line: &Line) -> [i32x4<S>; 2] {
+        let GridPoint { voxel, fraction } = line.center;
+        let four = |v: Vec3| f32x4::simd_from(simd, [v.x, v.y, v.z, 0.0]);
+        let (fraction, axis) = (four(fraction), four(line.axis));
+        let voxel = i32x4::simd_from(simd, [voxel.x, voxel.y, voxel.z, 0]);
+        let across = (1.0 - axis * axis).max(0.0).sqrt();
+        let extent = axis.abs() * line.reach + across * VOXEL_RADIUS;
+        let extent = if self == Self::Cylinder {
+            extent
+        } else {
+            extent.min(line.reach)
+        } + SLACK;
+        let (low, high) = ((fraction - extent) + ROUND, (fraction + extent - 1.0) + ROUND);
+        let voxel = voxel - ROUND.to_bits() as i32;
+        [
+            (voxel + low.bitcast::<i32x4<S>>()) >> REGION_SHIFT,
+            (voxel + high.bitcast::<i32x4<S>>()) >> REGION_SHIFT,
+        ]
     }
 
     /// The extent of a cylinder as that of this shape, with some slack.
@@ -138,43 +150,16 @@ pub enum Planes {
     Four,
 }
 
-/// The voxels beside a line in a plane, two or three wide along one axis and along the other: in one list, since the end of a
-/// loop in a loop is guessed wrong more often.
-const BESIDE: [[&[[usize; 2]]; 2]; 2] = [
-    [
-        &[[0, 0], [1, 0], [0, 1], [1, 1]],
-        &[[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]],
-    ],
-    [
-        &[[0, 0], [1, 0], [0, 1], [1, 1], [0, 2], [1, 2]],
-        &[[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1], [0, 2], [1, 2], [2, 2]],
-    ],
-];
-
-/// As [`BESIDE`], but of pairs of voxels: how many along the one axis, and along the other. (Four along is farther than any.)
-const PAIRS: [[&[[[f32; 2]; 2]]; 2]; 2] = [
-    [
-        &[[[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0], [1.0, 1.0]]],
-        &[
-            [[0.0, 0.0], [0.0, 1.0]],
-            [[1.0, 1.0], [0.0, 1.0]],
-            [[2.0, 2.0], [0.0, 1.0]],
-        ],
-    ],
-    [
-        &[
-            [[0.0, 1.0], [0.0, 0.0]],
-            [[0.0, 1.0], [1.0, 1.0]],
-            [[0.0, 1.0], [2.0, 2.0]],
-        ],
-        &[
-            [[0.0, 1.0], [0.0, 0.0]],
-            [[0.0, 1.0], [1.0, 1.0]],
-            [[0.0, 1.0], [2.0, 2.0]],
-            [[2.0, 2.0], [0.0, 1.0]],
-            [[2.0, 2.0], [2.0, 4.0]],
-        ],
-    ],
+/// Which of 2 × 2 × 2 regions there are, if there is a second one along x (1), y (2) and z (4).
+const CORNERS: [u64; 8] = [
+    0b0000_0001,
+    0b0000_0011,
+    0b0000_0101,
+    0b0000_1111,
+    0b0001_0001,
+    0b0011_0011,
+    0b0101_0101,
+    0b1111_1111,
 ];
 
 /// How many items ahead memory is asked for.
@@ -182,6 +167,15 @@ const AHEAD: usize = 16;
 
 /// Voxels along the edge of a region.
 const REGION_EDGE: i32 = 1 << REGION_SHIFT;
+
+/// A line that may reach into a region passes its middle no farther away than this.
+const FAR: f32 = 0.5 * 1.732_050_8 * REGION_EDGE as f32 + VOXEL_RADIUS + SLACK;
+
+/// The middle of a region as seen from a place.
+#[inline(always)]
+fn middle_of(region: IVec3, center: GridPoint) -> Vec3 {
+    ((region << REGION_SHIFT) + REGION_EDGE / 2 - center.voxel).as_vec3() - center.fraction
+}
 
 /// Of voxel coordinates within a region, none of these is set.
 const BEYOND: i32 = !(REGION_EDGE - 1);
@@ -199,8 +193,6 @@ pub struct Lines {
 struct Piece {
     lines: Vec<Line>,
     buckets: Vec<Bucket>,
-    /// The region of the last line, and its shard.
-    last: Option<(IVec3, usize)>,
     counts: Counts,
 }
 
@@ -256,7 +248,7 @@ impl Lines {
         self.pieces.par_iter_mut().enumerate().for_each(|(k, piece)| {
             piece.clear();
             let items = &items[items.len() * k / PIECES..items.len() * (k + 1) / PIECES];
-            dispatch!(level, _ => for (k, &i) in items.iter().enumerate() {
+            dispatch!(level, simd => for (k, &i) in items.iter().enumerate() {
                 if let Some(&later) = items.get(k + AHEAD) {
                     ask(later as usize);
                 }
@@ -264,8 +256,7 @@ impl Lines {
                 piece.counts.count(line.map(|_| ()));
                 if let Ok(line) = line {
                     debug_assert!(line.is_valid(), "{line:?}");
-                    piece.push(&line, R::SHAPE);
-                    piece.lines.push(line);
+                    piece.push(simd, line, R::SHAPE);
                 }
             });
         });
@@ -287,39 +278,57 @@ impl Lines {
         let shards = map.shards.par_iter_mut().enumerate();
         let touched: Result<Vec<Vec<BlockIndex>>, OutOfMemory> = shards
             .map(|(s, shard)| {
-                let mut writer = Writer {
-                    shard,
-                    touched: Vec::new(),
-                    slots: [NO_SLOT; REGION_BLOCKS],
-                    limit,
-                    queue: Queue::NEW,
-                    full: Ok(()),
-                };
-                let runs = pieces.iter().flat_map(|piece| {
-                    let Bucket { numbers, runs } = &piece.buckets[s];
-                    let starts = std::iter::once(0).chain(runs.iter().map(|run| run.1));
-                    let run = |(run, start): (&(IVec3, usize), usize)| (run.0, &piece.lines, &numbers[start..run.1]);
-                    runs.iter().zip(starts).map(run)
-                });
-                for (index, lines, numbers) in runs {
-                    let number = writer.shard.region_to_update(index, stamp)?;
-                    let region = Region { index, number };
-                    writer.slots.fill(NO_SLOT);
-                    dispatch!(*level, simd => for &number in numbers {
-                        update(simd, &lines[number as usize], rule, region, &mut writer);
-                    });
-                    writer.ask(region);
+                let mut runs: Vec<Run<'_>> = pieces.iter().flat_map(|piece| piece.runs(s)).collect();
+                runs.sort_by_key(|run| run.region.to_array());
+                let (mut touched, mut queue) = (Vec::new(), Queue::NEW);
+                for runs in runs.chunk_by(|a, b| a.region == b.region) {
+                    let region = runs[0].region;
+                    let mut writer = Writer {
+                        region: shard.open(region, stamp, &mut touched)?,
+                        limit,
+                        queue: &mut queue,
+                        full: Ok(()),
+                    };
+                    for Run { lines, numbers, .. } in runs {
+                        dispatch!(*level, simd => for (k, &number) in numbers.iter().enumerate() {
+                                                   if let Some(&later) = numbers.get(k + AHEAD) {
+                                                       let later = &lines[later as usize];
+                        prefetch(&later.center);
+                        prefetch(&later.weight);
+                                                   }
+                                                   update(simd, &lines[number as usize], rule, region, &mut writer);
+                                               });
+                    }
+                    writer.ask();
+                    writer.write();
                     writer.full?;
                 }
-                writer.write();
-                Ok(writer.touched)
+                Ok(touched)
             })
             .collect();
         Ok(touched?.concat())
     }
 }
 
+/// Lines of a piece that may reach into one region.
+struct Run<'a> {
+    region: IVec3,
+    lines: &'a [Line],
+    numbers: &'a [u32],
+}
+
 impl Piece {
+    /// What there is for a shard.
+    fn runs(&self, shard: usize) -> impl Iterator<Item = Run<'_>> {
+        let Bucket { numbers, runs } = &self.buckets[shard];
+        let starts = std::iter::once(0).chain(runs.iter().map(|run| run.1));
+        runs.iter().zip(starts).map(|(&(region, end), start)| Run {
+            region,
+            lines: &self.lines,
+            numbers: &numbers[start..end],
+        })
+    }
+
     fn clear(&mut self) {
         for bucket in &mut self.buckets {
             bucket.numbers.clear();
@@ -329,44 +338,57 @@ impl Piece {
         self.counts = Counts::default();
     }
 
-    /// Puts the line that comes next to each region that it may reach into.
+    /// Puts a line to each region that it may reach into.
     #[inline(always)]
-    fn push(&mut self, line: &Line, shape: Shape) {
-        let GridPoint { voxel, fraction } = line.center;
-        let half_box = shape.half_box(line.axis, line.reach);
-        let (low, high) = (fraction - half_box, fraction + half_box - 1.0);
-        let first = (voxel + IVec3::new(round(low.x), round(low.y), round(low.z))) >> REGION_SHIFT;
-        let last = (voxel + IVec3::new(round(high.x), round(high.y), round(high.z))) >> REGION_SHIFT;
-        if first == last {
+    fn push<S: Simd>(&mut self, simd: S, line: Line, shape: Shape) {
+        let [first, last] = shape.regions(simd, &line);
+        self.lines.push(line);
+        let is_one = first.simd_eq(last).all_true();
+        let first = IVec3::new(first[0], first[1], first[2]);
+        if is_one {
             self.push_to(first);
         } else {
-            self.push_to_each(line, shape);
+            self.push_to_each(simd, first, IVec3::new(last[0], last[1], last[2]), &line);
         }
     }
 
-    /// As [`Self::push`], for lines near the border of a region.
+    /// Puts the last line to each of some regions that it passes near the middle of.
+    #[inline(always)]
+    fn push_to_each<S: Simd>(&mut self, simd: S, first: IVec3, last: IVec3, line: &Line) {
+        let many = last - first;
+        if many.max_element() > 1 {
+            self.push_to_many(first, last);
+            return;
+        }
+        let middle = middle_of(first, line.center);
+        let edge = REGION_EDGE as f32;
+        let x = f32x8::simd_from(simd, [0.0, edge, 0.0, edge, 0.0, edge, 0.0, edge]) + middle.x;
+        let y = f32x8::simd_from(simd, [0.0, 0.0, edge, edge, 0.0, 0.0, edge, edge]) + middle.y;
+        let z = f32x8::simd_from(simd, [0.0, 0.0, 0.0, 0.0, edge, edge, edge, edge]) + middle.z;
+        let along = x * line.axis.x + (y * line.axis.y + z * line.axis.z);
+        let beside2 = x * x + (y * y + z * z) - along * along;
+        let near = along.abs().simd_le(FAR + line.reach) & beside2.simd_le(FAR * FAR);
+        let mut near = near.to_bitmask() & CORNERS[(many.x | many.y << 1 | many.z << 2) as usize & 7];
+        while near != 0 {
+            let b = near.trailing_zeros() as i32;
+            near &= near - 1;
+            self.push_to(first + IVec3::new(b & 1, b >> 1 & 1, b >> 2));
+        }
+    }
+
+    /// As [`Self::push_to_each`], for long lines.
     #[inline(never)]
-    fn push_to_each(&mut self, line: &Line, shape: Shape) {
-        let GridPoint { voxel, fraction } = line.center;
-        let half_box = Vec3::from_array(line.axis.to_array().map(|axis| shape.reach(axis, line.reach)));
-        let (low, high) = (fraction - half_box, fraction + half_box - 1.0);
-        let first = (voxel + IVec3::new(round(low.x), round(low.y), round(low.z))) >> REGION_SHIFT;
-        let last = (voxel + IVec3::new(round(high.x), round(high.y), round(high.z))) >> REGION_SHIFT;
-        let is_far = (last - first).element_sum() > 1;
-        let far = 0.5 * 3.0_f32.sqrt() * REGION_EDGE as f32 + VOXEL_RADIUS + SLACK;
+    fn push_to_many(&mut self, first: IVec3, last: IVec3) {
+        let Some(&line) = self.lines.last() else { return };
         for z in first.z..=last.z {
             for y in first.y..=last.y {
                 for x in first.x..=last.x {
                     let region = IVec3::new(x, y, z);
-                    if is_far {
-                        let middle = (region << REGION_SHIFT) + REGION_EDGE / 2 - voxel;
-                        let middle = middle.as_vec3() - fraction;
-                        let along = middle.dot(line.axis);
-                        if along.abs() > far + line.reach || (middle - along * line.axis).length() > far {
-                            continue;
-                        }
+                    let middle = middle_of(region, line.center);
+                    let along = middle.dot(line.axis);
+                    if along.abs() <= FAR + line.reach && (middle - along * line.axis).length() <= FAR {
+                        self.push_to(region);
                     }
-                    self.push_to(region);
                 }
             }
         }
@@ -374,13 +396,8 @@ impl Piece {
 
     #[inline(always)]
     fn push_to(&mut self, region: IVec3) {
-        let shard = match self.last {
-            Some((last, shard)) if last == region => shard,
-            _ => shard_of_region(region),
-        };
-        self.last = Some((region, shard));
-        let bucket = &mut self.buckets[shard];
-        bucket.numbers.push(self.lines.len() as u32);
+        let bucket = &mut self.buckets[shard_of_region(region)];
+        bucket.numbers.push(self.lines.len() as u32 - 1);
         let end = bucket.numbers.len();
         match bucket.runs.last_mut() {
             Some(last) if last.0 == region => last.1 = end,
@@ -389,25 +406,19 @@ impl Piece {
     }
 }
 
-/// Where the updates of a shard go: found, then asked for, then written. So memory is fetched while others are found.
+/// Where the updates of a region go: found, then asked for, then written. So memory is fetched while others are found.
 struct Writer<'a> {
-    shard: &'a mut Shard,
-    touched: Vec<BlockIndex>,
-    /// Of the blocks of the region that is being updated, as far as they are known.
-    slots: [u32; REGION_BLOCKS],
+    region: OpenRegion<'a>,
     limit: u32,
-    queue: Queue,
+    queue: &'a mut Queue,
     /// The error, once there is no memory for a block. Updates are dropped from then on.
     full: Result<(), OutOfMemory>,
 }
 
 /// Updates on their way.
 struct Queue {
-    /// Of voxels found: number of the block in the region, then of the voxel in the block (9 bits). Of those asked for: the
-    /// block's slot in the shard instead of its number.
-    places: [u32; QUEUE],
-    /// Weight and weighted distance of each, in fixed point.
-    sums: [i32; 2 * QUEUE],
+    /// Three lists, [`QUEUE`] apart: voxels ([`OpenRegion`] tells their numbers), weights and weighted distances in fixed point.
+    lists: [i32; 3 * QUEUE + 8],
     found: usize,
     asked: usize,
 }
@@ -421,61 +432,41 @@ const BURST: usize = 96;
 /// The most voxels that are found at a time: eight planes of 3 × 3.
 const FOUND: usize = 72;
 
-/// A region of the shard, and its number there.
-#[derive(Clone, Copy)]
-struct Region {
-    index: IVec3,
-    number: usize,
-}
-
 impl Queue {
     const NEW: Self = Self {
-        places: [0; QUEUE],
-        sums: [0; 2 * QUEUE],
+        lists: [0; 3 * QUEUE + 8],
         found: 0,
         asked: 0,
     };
 
-    /// Adds those of eight voxels that are updated. There must be room for eight.
+    /// Puts those of eight voxels that are updated behind `found` others, and counts them. There must be room for eight.
     #[inline(always)]
-    fn push<S: Simd>(&mut self, updated: mask32x8<S>, address: i32x8<S>, weight: i32x8<S>, distance: i32x8<S>) {
-        let n = self.found;
-        let (weight, distance) = (weight.compress(updated), distance.compress(updated));
-        if let (Some(places), Some(sums)) = (self.places.get_mut(n..n + 8), self.sums.get_mut(2 * n..2 * n + 16)) {
-            address.compress(updated).bitcast::<u32x8<S>>().store_slice(places);
-            weight.zip_low(distance).store_slice(&mut sums[..8]);
-            weight.zip_high(distance).store_slice(&mut sums[8..]);
-        }
-        self.found = n + updated.to_bitmask().count_ones() as usize;
+    fn push<S: Simd>(
+        &mut self,
+        found: &mut usize,
+        updated: mask32x8<S>,
+        address: i32x8<S>,
+        weight: i32x8<S>,
+        distance: i32x8<S>,
+    ) {
+        let at = &mut self.lists[*found % QUEUE..][..2 * QUEUE + 8];
+        address.compress(updated).store_slice(&mut at[..8]);
+        weight.compress(updated).store_slice(&mut at[QUEUE..QUEUE + 8]);
+        distance.compress(updated).store_slice(&mut at[2 * QUEUE..]);
+        *found += updated.to_bitmask().count_ones() as usize;
     }
 }
 
 impl Writer<'_> {
-    /// Asks for the memory of what was found in a region.
+    /// Asks for the memory of what was found.
     #[inline(never)]
-    fn ask(&mut self, region: Region) {
-        let mut blocks = self.shard.blocks();
-        let Queue {
-            places, found, asked, ..
-        } = &mut self.queue;
-        for place in &mut places[*asked..*found] {
-            let (block, voxel) = (
-                *place as usize / BLOCK_VOXELS % REGION_BLOCKS,
-                *place as usize % BLOCK_VOXELS,
-            );
-            let slot = &mut self.slots[block];
-            if *slot == NO_SLOT {
-                match self.shard.slot_to_update(region.number, block, &mut self.touched) {
-                    Ok(new) => *slot = new,
-                    Err(full) => {
-                        (self.full, *found) = (Err(full), *asked);
-                        return;
-                    }
-                }
-                blocks = self.shard.blocks();
+    fn ask(&mut self) {
+        let Queue { lists, found, asked } = &mut *self.queue;
+        for &place in &lists[*asked..*found] {
+            if let Err(full) = self.region.fetch(place as u32) {
+                (self.full, *found) = (Err(full), *asked);
+                return;
             }
-            prefetch(&blocks[*slot as usize].voxels[voxel]);
-            *place = *slot << 9 | voxel as u32;
         }
         *asked = *found;
         if *found > QUEUE - BURST - FOUND {
@@ -486,14 +477,15 @@ impl Writer<'_> {
     /// Makes the updates.
     #[inline(never)]
     fn write(&mut self) {
-        let (blocks, limit) = (self.shard.blocks_mut(), self.limit);
-        let Queue {
-            places, sums, found, ..
-        } = &mut self.queue;
-        for (i, &place) in places[..*found].iter().enumerate() {
-            let voxel = &mut blocks[place as usize / BLOCK_VOXELS].voxels[place as usize % BLOCK_VOXELS];
-            voxel.add_sums(sums[2 * i], sums[2 * i + 1]);
-            voxel.limit(limit);
+        let Queue { lists, found, .. } = &*self.queue;
+        let (places, sums) = lists.split_at(QUEUE);
+        let (weights, distances) = sums.split_at(QUEUE);
+        let all = places[..*found].iter().zip(weights).zip(distances);
+        for ((&place, &weight), &distance) in all {
+            if let Some(voxel) = self.region.voxel(place as u32) {
+                voxel.add_sums(weight, distance);
+                voxel.limit(self.limit);
+            }
         }
         (self.queue.found, self.queue.asked) = (0, 0);
     }
@@ -501,7 +493,7 @@ impl Writer<'_> {
 
 /// Updates the voxels of a line within a region.
 #[inline(always)]
-fn update<S: Simd, R: Rule>(simd: S, line: &Line, rule: &R, region: Region, writer: &mut Writer<'_>) {
+fn update<S: Simd, R: Rule>(simd: S, line: &Line, rule: &R, region: IVec3, writer: &mut Writer<'_>) {
     let a = line.axis.abs();
     if a.x >= a.y && a.x >= a.z {
         update_along::<S, R, 0, 1, 2>(simd, line, rule, region, writer);
@@ -518,11 +510,11 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
     simd: S,
     line: &Line,
     rule: &R,
-    region: Region,
+    region: IVec3,
     writer: &mut Writer<'_>,
 ) {
     let (axis, fraction) = (line.axis.to_array(), line.center.fraction.to_array());
-    let center = (line.center.voxel - (region.index << REGION_SHIFT)).to_array();
+    let center = (line.center.voxel - (region << REGION_SHIFT)).to_array();
     let slope = 1.0 / axis[M];
     let rule_of_line = rule.of(simd, line);
 
@@ -544,40 +536,59 @@ fn update_along<S: Simd, R: Rule, const M: usize, const U: usize, const W: usize
         let (u, w) = (first(U, wide_u), first(W, wide_w));
 
         if writer.queue.found - writer.queue.asked > BURST {
-            writer.ask(region);
+            writer.ask();
         }
+        let queue = &mut *writer.queue;
+        let mut found = queue.found;
         match R::PLANES {
             Planes::Eight => {
-                let u = [
-                    Places::<S, U>::of(u, fraction[U], axis[U], center[U]),
-                    Places::<S, U>::of(u + 1.0, fraction[U], axis[U], center[U]),
-                    Places::<S, U>::of(u + 2.0, fraction[U], axis[U], center[U]),
-                ];
-                let w = [
-                    Places::<S, W>::of(w, fraction[W], axis[W], center[W]),
-                    Places::<S, W>::of(w + 1.0, fraction[W], axis[W], center[W]),
-                    Places::<S, W>::of(w + 2.0, fraction[W], axis[W], center[W]),
-                ];
-                for &[j, i] in BESIDE[wide_w - 2][wide_u - 2] {
-                    find(&m, &u[j], &w[i], &rule_of_line, &mut writer.queue);
+                let (u_offset, u_along, u_square, u_coordinate, u_address) =
+                    Places::<S, U>::of_three(u, fraction[U], axis[U], center[U]);
+                let mut w = w;
+                for _ in 0..wide_w {
+                    let places = Places::<S, W>::of(w, fraction[W], axis[W], center[W]);
+                    for j in 0..wide_u.min(3) {
+                        let u = Places {
+                            offset: u_offset[j],
+                            along: u_along[j],
+                            square: u_square[j],
+                            coordinate: u_coordinate[j],
+                            address: u_address[j],
+                        };
+                        find::<S, M, U, W>(&m, &u, &places, &rule_of_line, queue, &mut found);
+                    }
+                    w += 1.0;
                 }
             }
             Planes::Four => {
-                for &[j, i] in PAIRS[wide_w - 2][wide_u - 2] {
-                    let u = Places::<S, U>::of(u + pair(simd, j), fraction[U], axis[U], center[U]);
-                    let w = Places::<S, W>::of(w + pair(simd, i), fraction[W], axis[W], center[W]);
-                    find(&m, &u, &w, &rule_of_line, &mut writer.queue);
+                // Two beside each other along U, with two or three along W; then, if there is a third along U, two and two along W.
+                let two = f32x8::simd_from(simd, [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]);
+                let (fraction_u, axis_u, center_u) = (fraction[U], axis[U], center[U]);
+                let (fraction_w, axis_w, center_w) = (fraction[W], axis[W], center[W]);
+                let u_two = Places::<S, U>::of(u + two, fraction_u, axis_u, center_u);
+                let beside = Places::<S, W>::of(w, fraction_w, axis_w, center_w);
+                find(&m, &u_two, &beside, &rule_of_line, queue, &mut found);
+                let beside = Places::<S, W>::of(w + 1.0, fraction_w, axis_w, center_w);
+                find(&m, &u_two, &beside, &rule_of_line, queue, &mut found);
+                if wide_w == 3 {
+                    let beside = Places::<S, W>::of(w + 2.0, fraction_w, axis_w, center_w);
+                    find(&m, &u_two, &beside, &rule_of_line, queue, &mut found);
+                }
+                if wide_u == 3 {
+                    let u_third = Places::<S, U>::of(u + 2.0, fraction_u, axis_u, center_u);
+                    let beside = Places::<S, W>::of(w + two, fraction_w, axis_w, center_w);
+                    find(&m, &u_third, &beside, &rule_of_line, queue, &mut found);
+                    if wide_w == 3 {
+                        // The fourth is farther than any.
+                        let beside = Places::<S, W>::of(w + (two + two + 2.0), fraction_w, axis_w, center_w);
+                        find(&m, &u_third, &beside, &rule_of_line, queue, &mut found);
+                    }
                 }
             }
         }
+        queue.found = found;
         plane += count;
     }
-}
-
-/// The one number for four lanes, the other for the others.
-#[inline(always)]
-fn pair<S: Simd>(simd: S, [a, b]: [f32; 2]) -> f32x8<S> {
-    f32x8::simd_from(simd, [a, a, a, a, b, b, b, b])
 }
 
 /// Finds which of eight voxels are updated. (A function, since closures are not compiled for the CPU's vector instructions where
@@ -589,6 +600,7 @@ fn find<S: Simd, const M: usize, const U: usize, const W: usize>(
     w: &Places<S, W>,
     rule_of_line: &impl Fn(&EightVoxels<S>) -> (mask32x8<S>, f32x8<S>, f32x8<S>),
     queue: &mut Queue,
+    found: &mut usize,
 ) {
     let xyz = |m: f32x8<S>, u: f32x8<S>, w: f32x8<S>| {
         let mut of = [m; 3];
@@ -610,7 +622,7 @@ fn find<S: Simd, const M: usize, const U: usize, const W: usize>(
     let here = (m.coordinate | u.coordinate | w.coordinate) & BEYOND;
     let updated = inside & here.simd_eq(0) & weight.simd_gt(0);
     let address = m.address | u.address | w.address;
-    queue.push(updated, address, weight, distance);
+    queue.push(found, updated, address, weight, distance);
 }
 
 /// What is to be known of eight voxels along one axis of the grid.
@@ -638,6 +650,35 @@ impl<S: Simd, const AXIS: usize> Places<S, AXIS> {
             coordinate,
             address: ((coordinate >> 3) << (9 + REGION_BITS * AXIS as u32)) | ((coordinate & 7) << (3 * AXIS as u32)),
         }
+    }
+
+    /// Three side by side: a list of each number, so that what is not needed is not kept.
+    #[inline(always)]
+    #[allow(clippy::type_complexity)]
+    fn of_three(
+        first: f32x8<S>,
+        fraction: f32,
+        axis: f32,
+        center: i32,
+    ) -> (
+        [f32x8<S>; 3],
+        [f32x8<S>; 3],
+        [f32x8<S>; 3],
+        [i32x8<S>; 3],
+        [i32x8<S>; 3],
+    ) {
+        let (a, b, c) = (
+            Self::of(first, fraction, axis, center),
+            Self::of(first + 1.0, fraction, axis, center),
+            Self::of(first + 2.0, fraction, axis, center),
+        );
+        (
+            [a.offset, b.offset, c.offset],
+            [a.along, b.along, c.along],
+            [a.square, b.square, c.square],
+            [a.coordinate, b.coordinate, c.coordinate],
+            [a.address, b.address, c.address],
+        )
     }
 }
 
@@ -775,6 +816,9 @@ mod tests {
             let of = |level, lines: &[Line]| fused(level, lines, config(), &Euclidean).0;
             let maps: Vec<VoxelMap> = levels().into_iter().map(|level| of(level, &lines)).collect();
             prop_assert!(maps.iter().all(|map| *map == maps[0]));
+            let short = |level| fused(level, &lines, config(), &AlongPatch { truncation: 5.0 }).0;
+            let patches: Vec<VoxelMap> = levels().into_iter().map(short).collect();
+            prop_assert!(patches.iter().all(|map| *map == patches[0]));
             // And the comparison would see one that is missing.
             prop_assert!(of(Level::new(), &lines[1..]) != maps[0] || lines[0].weight < 1.0 / 32_768.0);
         }

@@ -38,7 +38,7 @@ pub use observed::{ObservedBlock, ObservedVoxel};
 pub(crate) use recent::Recent;
 pub use region::{BlockPool, RegionBlocks};
 pub use sample::Sample;
-pub(crate) use shard::{NO_SLOT, Shard};
+pub(crate) use shard::{NO_SLOT, OpenRegion, Shard};
 pub use tally::Tally;
 pub use update::{Updated, VoxelUpdate};
 pub use voxel_map::VoxelMap;

@@ -9,10 +9,10 @@ use glam::IVec3;
 use hashbrown::HashMap;
 use rustc_hash::FxBuildHasher;
 
-use super::block::Block;
+use super::block::Voxel;
 use crate::{
-    index::{BlockIndex, REGION_BLOCKS, block_of_region, in_region},
-    memory::{Blocks, OutOfMemory, Pool, SLAB_BLOCKS},
+    index::{BLOCK_VOXELS, BlockIndex, REGION_BLOCKS, block_of_region, in_region},
+    memory::{Blocks, Near, OutOfMemory, Pool, SLAB_BLOCKS},
 };
 
 /// The slot of a block that is not there.
@@ -55,11 +55,15 @@ impl Region {
 
     /// The slot of a block, which is made if it is not there.
     #[inline]
-    fn slot_or_insert(&mut self, block: usize, blocks: &mut Blocks) -> Result<u32, OutOfMemory> {
+    fn slot_or_insert(
+        &mut self,
+        block: usize,
+        push: impl FnOnce() -> Result<u32, OutOfMemory>,
+    ) -> Result<u32, OutOfMemory> {
         let slot = &mut self.slots[block];
         if *slot == NO_SLOT {
             self.last = if (self.blocks as usize).is_multiple_of(SLAB_BLOCKS) {
-                blocks.push()?
+                push()?
             } else {
                 self.last + 1
             };
@@ -69,10 +73,58 @@ impl Region {
         Ok(*slot)
     }
 
+    /// Counts a block among those that are updated; the first time, it is added to `touched`.
+    #[inline]
+    fn touch(&mut self, block: usize, touched: &mut Vec<BlockIndex>) {
+        let (word, bit) = (&mut self.updated[block / 64], 1 << (block % 64));
+        if *word & bit == 0 {
+            *word |= bit;
+            touched.push(block_of_region(self.index, block));
+        }
+    }
+
     /// Its blocks: numbers in the region, and slots.
     pub(super) fn there(&self) -> impl Iterator<Item = (usize, u32)> {
         let slots = self.slots.iter().copied().enumerate();
         slots.filter(|(_, slot)| *slot != NO_SLOT)
+    }
+}
+
+/// A region that is being updated.
+pub(crate) struct OpenRegion<'a> {
+    region: &'a mut Region,
+    near: Near<'a>,
+    touched: &'a mut Vec<BlockIndex>,
+}
+
+/// Voxels of a region have numbers: that of the block in the region, then that of the voxel in the block (9 bits).
+impl OpenRegion<'_> {
+    /// Fetches a voxel from memory; its block is made if it is not there.
+    #[inline(always)]
+    pub(crate) fn fetch(&mut self, place: u32) -> Result<(), OutOfMemory> {
+        let (block, voxel) = (
+            place as usize / BLOCK_VOXELS % REGION_BLOCKS,
+            place as usize % BLOCK_VOXELS,
+        );
+        if self.near.prefetch(block, voxel) {
+            return Ok(());
+        }
+        self.find(block)
+    }
+
+    #[inline(never)]
+    fn find(&mut self, block: usize) -> Result<(), OutOfMemory> {
+        let slot = self.region.slot_or_insert(block, || self.near.push())?;
+        self.region.touch(block, self.touched);
+        self.near.insert(block, slot);
+        Ok(())
+    }
+
+    /// A voxel, if it was fetched.
+    #[inline(always)]
+    pub(crate) fn voxel(&mut self, place: u32) -> Option<&mut Voxel> {
+        self.near
+            .voxel(place as usize / BLOCK_VOXELS, place as usize % BLOCK_VOXELS)
     }
 }
 
@@ -89,7 +141,7 @@ impl Shard {
     pub(crate) fn slot_or_insert(&mut self, index: BlockIndex) -> Result<u32, OutOfMemory> {
         let (region, block) = in_region(index);
         let number = self.number_or_insert(region)?;
-        self.regions[number].slot_or_insert(block, &mut self.blocks)
+        self.regions[number].slot_or_insert(block, || self.blocks.push())
     }
 
     /// The number of a region, which is made if it is not there.
@@ -134,13 +186,24 @@ impl Shard {
         touched: &mut Vec<BlockIndex>,
     ) -> Result<u32, OutOfMemory> {
         let region = &mut self.regions[number];
-        let slot = region.slot_or_insert(block, &mut self.blocks)?;
-        let (word, bit) = (&mut region.updated[block / 64], 1 << (block % 64));
-        if *word & bit == 0 {
-            *word |= bit;
-            touched.push(block_of_region(region.index, block));
-        }
+        let slot = region.slot_or_insert(block, || self.blocks.push())?;
+        region.touch(block, touched);
         Ok(slot)
+    }
+
+    /// A region that integration number `stamp` updates, for many updates; blocks that it now updates are added to `touched`.
+    pub(crate) fn open<'a>(
+        &'a mut self,
+        index: IVec3,
+        stamp: u32,
+        touched: &'a mut Vec<BlockIndex>,
+    ) -> Result<OpenRegion<'a>, OutOfMemory> {
+        let number = self.region_to_update(index, stamp)?;
+        Ok(OpenRegion {
+            region: &mut self.regions[number],
+            near: Near::new(&mut self.blocks),
+            touched,
+        })
     }
 
     /// Counts a block among those that integration number `stamp` updated.
@@ -155,23 +218,19 @@ impl Shard {
         }
     }
 
-    /// Visits all blocks of some regions, and tells of each whether integration number `stamp` updated it.
-    pub(crate) fn for_each_block_mut(
-        &mut self,
+    /// All blocks of some regions: indices, slots, and whether integration number `stamp` updated them.
+    pub(crate) fn blocks_of(
+        &self,
         stamp: u32,
         is_wanted: impl Fn(IVec3) -> bool,
-        mut visit: impl FnMut(BlockIndex, bool, &mut Block),
-    ) {
-        for region in self.regions.iter().filter(|region| is_wanted(region.index)) {
-            for (number, slot) in region.there() {
-                let updated = region.stamp == stamp && region.updated[number / 64] >> (number % 64) & 1 == 1;
-                visit(
-                    block_of_region(region.index, number),
-                    updated,
-                    &mut self.blocks[slot as usize],
-                );
-            }
-        }
+    ) -> impl Iterator<Item = (BlockIndex, u32, bool)> {
+        let regions = self.regions.iter().filter(move |region| is_wanted(region.index));
+        regions.flat_map(move |region| {
+            region.there().map(move |(number, slot)| {
+                let is_updated = region.stamp == stamp && region.updated[number / 64] >> (number % 64) & 1 == 1;
+                (block_of_region(region.index, number), slot, is_updated)
+            })
+        })
     }
 
     /// The indices of all blocks, in any order.

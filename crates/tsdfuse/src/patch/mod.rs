@@ -215,7 +215,7 @@ impl Scan<'_> {
             for (lane, out) in out.iter_mut().enumerate() {
                 *out = found.patches[lane];
                 // Halves would have fewer returns still.
-                if found.residual2[lane] == f32::INFINITY && moments.count()[lane] >= MIN_RETURNS {
+                if found.residual2[lane] == f32::INFINITY && moments.count(lane) >= MIN_RETURNS {
                     rest.push(group * LANES + lane);
                 }
             }
@@ -238,13 +238,13 @@ impl Scan<'_> {
             let found = self.judge(&moments, &of, Kind::Half);
             for (k, &place) in few.iter().enumerate() {
                 let first_half = HALVES.len() * k;
-                let mut best = first_half;
-                for lane in first_half + 1..first_half + HALVES.len() {
-                    if found.residual2[lane] < found.residual2[best] {
-                        best = lane;
-                    }
+                let residuals2 = &found.residual2[first_half..first_half + HALVES.len()];
+                let (mut best, mut least2) = (0, f32::INFINITY);
+                for (half, &residual2) in residuals2.iter().enumerate() {
+                    best = if residual2 < least2 { half } else { best };
+                    least2 = least2.min(residual2);
                 }
-                patches[place] = found.patches[best];
+                patches[place] = found.patches[first_half + best];
             }
         }
     }
@@ -308,15 +308,15 @@ impl Scan<'_> {
         let moved = lanes(|l| (noise2_across[l] / residual2[l]).min(1.0) * off[l]);
         let centers = points.add(normal.scale(moved));
         let towards = normal.scale(lanes(|l| if facing[l] > 0.0 { -1.0 } else { 1.0 }));
-        for (lane, _) in of.iter().enumerate().filter(|(lane, i)| **i != NONE && is_plane[*lane]) {
-            found.patches[lane] = Patch {
+        for (lane, patch) in found.patches.iter_mut().enumerate() {
+            *patch = Patch {
                 center: centers.get(lane),
                 normal: towards.get(lane),
-                kind,
+                kind: if is_plane[lane] { kind } else { Kind::Ray },
                 turn: Turn::default(),
             };
-            found.residual2[lane] = residual2[lane];
         }
+        found.residual2 = lanes(|l| if is_plane[l] { residual2[l] } else { f32::INFINITY });
         found
     }
 }

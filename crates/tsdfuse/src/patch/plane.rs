@@ -1,6 +1,6 @@
 //! Planes through the returns of windows, sixteen windows side by side.
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 
 use super::sums::Sums;
 use crate::lanes::{Floats, LANES, Mask, Vectors, lanes};
@@ -23,36 +23,29 @@ pub(super) struct Planes {
 /// What is known of points, for sixteen planes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moments {
-    mean: Vectors,
-    /// Covariances xx, xy, xz, yy, yz, zz.
-    covariance: [Floats; 6],
-    count: Floats,
+    sums: [[f64; LANES]; 10],
+    /// A point that is near, for each.
+    near: Vectors,
 }
 
 impl Moments {
     pub(super) const NONE: Self = Self {
-        mean: Vectors::ZERO,
-        covariance: [[0.0; LANES]; 6],
-        count: [0.0; LANES],
+        sums: [[0.0; LANES]; 10],
+        near: Vectors::ZERO,
     };
 
     /// How many points there are.
-    pub(super) fn count(&self) -> &Floats {
-        &self.count
+    pub(super) fn count(&self, lane: usize) -> f32 {
+        self.sums[0][lane] as f32
     }
 
-    /// Puts in the sums; the mean is stored relative to `near`.
+    /// Puts in the sums of points, and one that is near.
     #[inline(always)]
     pub(super) fn set(&mut self, lane: usize, sums: &Sums, near: Vec3) {
-        let inverse = 1.0 / sums[0].max(1.0);
-        let mean = DVec3::new(sums[1], sums[2], sums[3]) * inverse;
-        let [x, y, z] = mean.to_array();
-        let products = [x * x, x * y, x * z, y * y, y * z, z * z];
-        for k in 0..6 {
-            self.covariance[k][lane] = (sums[4 + k] * inverse - products[k]) as f32;
+        for (all, sum) in self.sums.iter_mut().zip(sums) {
+            all[lane % LANES] = *sum;
         }
-        self.mean.set(lane, (mean - near.as_dvec3()).as_vec3());
-        self.count[lane] = sums[0] as f32;
+        self.near.set(lane, near);
     }
 
     /// The planes.
@@ -62,7 +55,25 @@ impl Moments {
     /// points lie in a plane.
     #[inline(always)]
     pub(super) fn planes(&self) -> Planes {
-        let [xx, xy, xz, yy, yz, zz] = self.covariance;
+        let [count, x, y, z, xx, xy, xz, yy, yz, zz] = &self.sums;
+        let inverse = lanes(|l| 1.0 / count[l].max(1.0));
+        let (x, y, z) = (
+            lanes(|l| x[l] * inverse[l]),
+            lanes(|l| y[l] * inverse[l]),
+            lanes(|l| z[l] * inverse[l]),
+        );
+        let mean = vectors(
+            lanes(|l| (x[l] - f64::from(self.near.x[l])) as f32),
+            lanes(|l| (y[l] - f64::from(self.near.y[l])) as f32),
+            lanes(|l| (z[l] - f64::from(self.near.z[l])) as f32),
+        );
+        let xx = lanes(|l| (xx[l] * inverse[l] - x[l] * x[l]) as f32);
+        let xy = lanes(|l| (xy[l] * inverse[l] - x[l] * y[l]) as f32);
+        let xz = lanes(|l| (xz[l] * inverse[l] - x[l] * z[l]) as f32);
+        let yy = lanes(|l| (yy[l] * inverse[l] - y[l] * y[l]) as f32);
+        let yz = lanes(|l| (yz[l] * inverse[l] - y[l] * z[l]) as f32);
+        let zz = lanes(|l| (zz[l] * inverse[l] - z[l] * z[l]) as f32);
+        let count = lanes(|l| count[l] as f32);
         let cofactors = [
             minor(yy, zz, yz, yz),
             minor(xz, yz, xy, zz),
@@ -95,10 +106,10 @@ impl Moments {
         let greater = lanes(|l| 0.5 * (sum[l] + (sum[l] * sum[l] - 4.0 * product[l]).max(0.0).sqrt()));
         Planes {
             normal,
-            mean: self.mean,
-            residual2: lanes(|l| least[l] * self.count[l] / (self.count[l] - 3.0)),
+            mean,
+            residual2: lanes(|l| least[l] * count[l] / (count[l] - 3.0)),
             spread2: lanes(|l| product[l] / greater[l]),
-            count: self.count,
+            count,
         }
     }
 }
@@ -135,7 +146,7 @@ fn vectors(x: Floats, y: Floats, z: Floats) -> Vectors {
 mod tests {
     use super::*;
     use crate::eigen::eigen;
-    use glam::{DMat3, DQuat};
+    use glam::{DMat3, DQuat, DVec3};
     use proptest::prelude::*;
 
     fn sums_of(points: &[DVec3]) -> Sums {
