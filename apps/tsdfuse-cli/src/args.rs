@@ -98,7 +98,11 @@ impl RunArgs {
     pub(crate) fn job(&self) -> Result<Job> {
         let mut settings = self.log.settings(self.method.as_deref())?;
         if let Some(moving) = self.moving {
-            settings.set("--moving", "moving.leave_out", matches!(moving, MovingReturns::LeaveOut))?;
+            settings.set(
+                "--moving",
+                "moving.leave_out",
+                matches!(moving, MovingReturns::LeaveOut),
+            )?;
         }
         Ok(Job {
             input: self.log.input(),

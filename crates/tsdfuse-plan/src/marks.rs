@@ -77,7 +77,13 @@ impl Marks {
             next.x += if x { per_voxel.x } else { 0.0 };
             next.y += if y { per_voxel.y } else { 0.0 };
             next.z += if z { per_voxel.z } else { 0.0 };
-            let by = if x { step_x } else if y { step_y } else { step_z };
+            let by = if x {
+                step_x
+            } else if y {
+                step_y
+            } else {
+                step_z
+            };
             within.0 += by;
             if within.is_outside() {
                 within.0 -= by * CHUNK;

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 use tsdfuse::Scan;
-use tsdfuse::glam::{DVec3, IVec3, Vec2, Vec3, Vec2Swizzles};
+use tsdfuse::glam::{DVec3, IVec3, Vec2, Vec2Swizzles, Vec3};
 use tsdfuse::scan::ScanError;
 
 use crate::marks::Marks;
@@ -93,7 +93,11 @@ fn cells(range: usize) -> usize {
 fn octahedral(way: Vec3) -> Vec2 {
     let way = way / way.abs().element_sum();
     let at = way.truncate();
-    let at = if way.z < 0.0 { (1.0 - at.yx().abs()) * Vec2::ONE.copysign(at) } else { at };
+    let at = if way.z < 0.0 {
+        (1.0 - at.yx().abs()) * Vec2::ONE.copysign(at)
+    } else {
+        at
+    };
     (0.5 + 0.5 * at).clamp(Vec2::ZERO, Vec2::splat(1.0 - f32::EPSILON))
 }
 
