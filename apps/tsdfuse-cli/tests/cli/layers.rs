@@ -103,8 +103,9 @@ fn tiles_have_colours() {
 #[test]
 fn what_moves_is_labelled() {
     let folder = Folder::new();
-    let (labels, report) = (folder.text("labels"), folder.text("report.json"));
-    fuse(&["--moving", "fuse", "--labels", &labels, "--report", &report]);
+    let [labels, report, map] = ["labels", "report.json", "map.tsdf"].map(|name| folder.text(name));
+    let asked = ["--moving", "fuse", "--labels", &labels, "--report", &report];
+    fuse(&[&asked[..], &["--save-map", &map]].concat());
     assert_eq!(
         names(Path::new(&labels)),
         ["000000.label", "000001.label", "000002.label"]
