@@ -31,7 +31,6 @@ pub(crate) fn bits(mut word: u64, mut visit: impl FnMut(usize)) {
 }
 
 /// Of one chunk: voxels that rays passed through, and in which rays ended.
-#[derive(Clone)]
 pub(crate) struct ChunkMarks {
     passed: [u64; WORDS],
     hit: [u64; WORDS],
@@ -48,7 +47,7 @@ impl ChunkMarks {
 #[derive(Default)]
 pub(crate) struct Marks {
     places: HashMap<IVec3, usize, FxBuildHasher>,
-    chunks: Vec<ChunkMarks>,
+    chunks: Vec<(IVec3, ChunkMarks)>,
     /// The chunk that was asked for last.
     last: Option<(IVec3, usize)>,
 }
@@ -105,15 +104,19 @@ impl Marks {
         let place = match self.last {
             Some((last, place)) if last == index => place,
             _ => *self.places.entry(index).or_insert_with(|| {
-                self.chunks.push(ChunkMarks {
-                    passed: [0; WORDS],
-                    hit: [0; WORDS],
-                });
+                let none = [0; WORDS];
+                self.chunks.push((
+                    index,
+                    ChunkMarks {
+                        passed: none,
+                        hit: none,
+                    },
+                ));
                 self.chunks.len() - 1
             }),
         };
         self.last = Some((index, place));
-        &mut self.chunks[place]
+        &mut self.chunks[place].1
     }
 
     /// What either has.
@@ -121,8 +124,8 @@ impl Marks {
         if self.chunks.is_empty() {
             return other;
         }
-        for (index, place) in other.places {
-            let (from, to) = (&other.chunks[place], self.chunk(index));
+        for (index, from) in other.chunks {
+            let to = self.chunk(index);
             to.passed
                 .iter_mut()
                 .zip(&from.passed)
@@ -134,10 +137,7 @@ impl Marks {
 
     /// All chunks, in any order.
     pub(crate) fn into_chunks(self) -> impl Iterator<Item = (IVec3, ChunkMarks)> {
-        let chunks = self.chunks;
-        self.places
-            .into_iter()
-            .map(move |(index, place)| (index, chunks[place].clone()))
+        self.chunks.into_iter()
     }
 }
 
