@@ -82,8 +82,14 @@ fn gradient_at(slot: u32, at: vec3<i32>) -> vec3<f32> {
     return vec3(slope(slot, at, vec3(1, 0, 0)), slope(slot, at, vec3(0, 1, 0)), slope(slot, at, vec3(0, 0, 1)));
 }
 
-// The ray that passes a place and ends well behind it, seen from the sensor some seconds after the scan's pose; zero if there is none.
-fn ray_past(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> vec3<f32> {
+// What is left of a ray from a place to its end, and how far behind a surface it must end; zero if there is none.
+struct Rest {
+    way: vec3<f32>,
+    least_m: f32,
+}
+
+// The ray that passes a place and ends well behind it, seen from the sensor some seconds after the scan's pose.
+fn ray_past(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> Rest {
     let at = seen_at(to_sensor_after(center, secs));
     for (var next = 0u; next < 2u; next++) {
         let number = cell_at(at.x, at.y + next);
@@ -103,10 +109,10 @@ fn ray_past(center: vec3<f32>, secs: f32, voxel_size_m: f32) -> vec3<f32> {
         let margin_m = (MARGIN + SIGMAS_OF_RAYS * sigma_vox(arm)) * voxel_size_m;
         let radius_m = BESIDE * voxel_size_m;
         if along > 0.0 && size - along > margin_m && above > margin_m && dot(beside, beside) < radius_m * radius_m {
-            return end;
+            return Rest(end - p, margin_m);
         }
     }
-    return vec3(0.0);
+    return Rest(vec3(0.0), 0.0);
 }
 
 // A fraction of both sums, or nothing if the rest is negligible.
@@ -150,8 +156,9 @@ fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
                 // False where nothing was observed.
                 if f32(bitcast<i32>(voxel.y)) < -inside * f32(voxel.x) {
                     let at = vec3(lane & 7u, lane >> 3u, k);
-                    let ray = ray_past((corner + vec3<f32>(at) + 0.5) * voxel_size_m, look.secs, voxel_size_m);
-                    let is_passed = any(ray != vec3(0.0)) && dot(gradient_at(slot, vec3<i32>(at)), ray) <= 0.0;
+                    let rest = ray_past((corner + vec3<f32>(at) + 0.5) * voxel_size_m, look.secs, voxel_size_m);
+                    let gradient = gradient_at(slot, vec3<i32>(at));
+                    let is_passed = any(rest.way != vec3(0.0)) && -dot(gradient, rest.way) >= rest.least_m * length(gradient);
                     here |= u32(is_passed) << k;
                 }
             }

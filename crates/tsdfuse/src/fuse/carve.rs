@@ -292,8 +292,11 @@ impl Carver {
             let (bins, columns) = Self::cells(&rows.at(y, z), seen.image.columns());
             for x in (0..ROW).filter(|x| deep >> x & 1 == 1) {
                 let place = first + IVec3::new(x as i32, y, z).as_vec3() * seen.centers.voxel_size_m;
-                let ray = ray_past(place, self.ring(bins[x]), columns[x] as usize, seen);
-                if ray.is_none_or(|ray| gradient_at(block, IVec3::new(x as i32, y, z)).dot(ray) > 0.0) {
+                let Some(rest) = ray_past(place, self.ring(bins[x]), columns[x] as usize, seen) else {
+                    continue;
+                };
+                let gradient = gradient_at(block, IVec3::new(x as i32, y, z));
+                if -gradient.dot(rest.way) < rest.least_m * gradient.length() {
                     continue;
                 }
                 passed[start / ROW] |= 1 << x;
@@ -345,9 +348,17 @@ fn gradient_at(block: &Block, at: IVec3) -> Vec3 {
     Vec3::new(slope(IVec3::X), slope(IVec3::Y), slope(IVec3::Z))
 }
 
+/// What is left of a ray that passes a place.
+struct Rest {
+    /// From the place to the ray's end.
+    way: Vec3,
+    /// How far behind a surface it must end, metres.
+    least_m: f32,
+}
+
 /// The ray that passes a place, seen in a ring and between a column and the next, and ends well behind it.
 #[inline(always)]
-fn ray_past(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> Option<Vec3> {
+fn ray_past(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> Option<Rest> {
     let columns = seen.image.columns();
     let voxel_m = seen.centers.voxel_size_m;
     let radius = BESIDE * voxel_m;
@@ -372,7 +383,10 @@ fn ray_past(place: Vec3, ring: usize, column: usize, seen: &Seen<'_>) -> Option<
         };
         let margin = (MARGIN + SIGMAS_OF_RAYS * sigma) * voxel_m;
         if length - along > margin && above > margin {
-            return Some(end);
+            return Some(Rest {
+                way: end - place,
+                least_m: margin,
+            });
         }
     }
     None
