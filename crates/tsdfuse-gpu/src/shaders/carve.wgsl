@@ -157,9 +157,10 @@ fn carve(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
                 if f32(bitcast<i32>(voxel.y)) < -inside * f32(voxel.x) {
                     let at = vec3(lane & 7u, lane >> 3u, k);
                     let rest = ray_past((corner + vec3<f32>(at) + 0.5) * voxel_size_m, look.secs, voxel_size_m);
-                    let gradient = gradient_at(slot, vec3<i32>(at));
-                    let is_passed = any(rest.way != vec3(0.0)) && -dot(gradient, rest.way) >= rest.least_m * length(gradient);
-                    here |= u32(is_passed) << k;
+                    if any(rest.way != vec3(0.0)) {
+                        let gradient = gradient_at(slot, vec3<i32>(at));
+                        here |= u32(-dot(gradient, rest.way) >= rest.least_m * length(gradient)) << k;
+                    }
                 }
             }
             atomicAdd(&passed, countOneBits(here));
