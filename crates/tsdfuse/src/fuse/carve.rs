@@ -99,15 +99,13 @@ impl<'a> Seen<'a> {
         }
     }
 
-    /// How many columns tell where the sensor was; one tells it for all if it did not move.
-    fn moments(&self) -> usize {
-        self.columns.len().max(1)
-    }
-
     /// As the sensor sees blocks at the moment of a column; `None` where no ray came back.
     #[inline(always)]
     fn centers_at(&self, column: usize) -> Option<&Centers> {
-        self.columns.get(column).map_or(Some(&self.centers), Option::as_ref)
+        match self.columns.as_slice() {
+            [] => Some(&self.centers),
+            columns => columns[column % columns.len()].as_ref(),
+        }
     }
 }
 
@@ -220,26 +218,24 @@ impl Carver {
         let mut kept = 0;
         for first in (0..blocks.len()).step_by(ROW) {
             let eight = first..(first + ROW).min(blocks.len());
-            let (mut middles, mut far2) = ([[0.0; ROW]; 3], [f32::INFINITY; ROW]);
+            let (mut middles, mut far2) = ([Vec3::ZERO; ROW], [f32::INFINITY; ROW]);
             if !seen.columns.is_empty() {
-                for (lane, block) in blocks[eight.clone()].iter().enumerate() {
-                    let p = seen.centers.of_block(block.index);
-                    (middles[0][lane], middles[1][lane], middles[2][lane]) = (p.x, p.y, p.z);
+                for (middle, block) in middles.iter_mut().zip(&blocks[eight.clone()]) {
+                    *middle = seen.centers.of_block(block.index);
                 }
-                let (_, at) = Self::cells(&middles, columns);
+                let (_, at) = Self::cells(&row_of(&middles), columns);
                 for (block, column) in blocks[eight.clone()].iter_mut().zip(at) {
-                    block.column = column as usize % seen.moments();
+                    block.column = column as usize;
                 }
             }
             for (lane, block) in blocks[eight.clone()].iter().enumerate() {
                 if let Some(centers) = seen.centers_at(block.column) {
-                    let p = centers.of_block(block.index);
-                    (middles[0][lane], middles[1][lane], middles[2][lane]) = (p.x, p.y, p.z);
-                    let far_m = p.length() + BLOCK_RADIUS * centers.voxel_size_m;
+                    middles[lane] = centers.of_block(block.index);
+                    let far_m = middles[lane].length() + BLOCK_RADIUS * centers.voxel_size_m;
                     far2[lane] = far_m * far_m;
                 }
             }
-            let (bins, at) = Self::cells(&middles, columns);
+            let (bins, at) = Self::cells(&row_of(&middles), columns);
             for (lane, number) in eight.enumerate() {
                 let near = seen.image.get(self.ring(bins[lane]), at[lane] as usize % columns);
                 let is_passed =
@@ -316,6 +312,12 @@ impl Carver {
         }
         true
     }
+}
+
+/// The coordinates of eight places.
+#[inline(always)]
+fn row_of(places: &[Vec3; ROW]) -> Row {
+    [0, 1, 2].map(|axis| places.map(|place| place[axis]))
 }
 
 /// The nearest ring of each bin of elevation.
@@ -407,9 +409,9 @@ fn fade(voxel: &mut Voxel) {
 mod tests {
     use super::*;
     use crate::{
-        Pose,
+        MapConfig, Pose,
         fuse::depth::world_axes,
-        index::Grid,
+        index::{Grid, voxel_at},
         scan::PoseAt,
         sensor::{model, testing::scan_room},
     };
@@ -477,6 +479,105 @@ mod tests {
             "{}",
             literal.len()
         );
+    }
+
+    /// A map of one plane 20 m ahead, seen often, and the same after rays without planes have passed it for some scans.
+    fn carved(height_m: impl Fn(Vec3) -> f32, end: impl Fn(Vec3) -> Vec3) -> [VoxelMap; 2] {
+        let mut map = VoxelMap::new(MapConfig::default()).unwrap();
+        let (grid, truncation_m) = (map.grid(), map.config().truncation_m as f32);
+        let (x, y, z) = (45..55, -2..2, -4..0);
+        let indices = x.flat_map(|x| {
+            y.clone().flat_map({
+                let z = z.clone();
+                move |y| z.clone().map(move |z| BlockIndex(IVec3::new(x, y, z)))
+            })
+        });
+        for index in indices {
+            let mut block = Block::EMPTY;
+            for (i, voxel) in block.voxels.iter_mut().enumerate() {
+                let height = height_m(grid.center(voxel_at(index, i)).as_vec3());
+                if height.abs() < 0.1 {
+                    let weight_sum = 20 * WEIGHT_SCALE;
+                    *voxel = Voxel {
+                        weight_sum,
+                        distance_sum: (height / truncation_m * weight_sum as f32) as i32,
+                    };
+                }
+            }
+            map.replace_block(index, block).unwrap();
+        }
+        let before = map.clone();
+        let elevations: Vec<f32> = (0..32).map(|ring| -6.0 + 0.18 * ring as f32).collect();
+        let sensor = SensorModel::from_beams("dense", elevations, 2048, (0.1, 100.0)).unwrap();
+        let beams = (0..32_u16).flat_map(|ring| (-16..16).map(move |column| (ring, column)));
+        let ray = |(ring, column): (u16, i32)| {
+            let (up, left) = (
+                sensor.elevations_deg[usize::from(ring)].to_radians(),
+                (column as f32 + 0.5) * TAU / 2048.0,
+            );
+            Vec3::new(up.cos() * left.cos(), up.cos() * left.sin(), up.sin())
+        };
+        let scan = Scan {
+            points: beams.clone().map(|beam| end(ray(beam))).collect(),
+            rings: Some(beams.map(|(ring, _)| ring).collect()),
+            pose: Some(Pose::IDENTITY),
+            ..Scan::default()
+        };
+        let (mut image, mut placed, mut carver) = (ScanImage::new(), Placed::default(), Carver::default());
+        image.update(&scan.points, scan.rings.as_ref().unwrap(), &sensor);
+        let centers = Centers {
+            anchor: placed.place(grid, &scan).unwrap(),
+            origin: Vec3::ZERO,
+            rotation: Mat3::IDENTITY,
+            voxel_size_m: 0.05,
+        };
+        let patches: Vec<Patch> = (scan.points.iter())
+            .map(|&center| Patch {
+                center,
+                ..Patch::default()
+            })
+            .collect();
+        let seen = Seen::new(&scan, &image, &placed, &patches, centers, Agreement::default());
+        for _ in 0..24 {
+            map.begin_integration();
+            carver.carve(&mut map, &seen, &sensor);
+        }
+        [before, map]
+    }
+
+    /// Voxels behind the surface.
+    fn inside(map: &VoxelMap) -> usize {
+        let blocks = map.block_indices().into_iter().filter_map(|block| map.block(block));
+        blocks
+            .flat_map(|block| &block.voxels)
+            .filter(|voxel| voxel.distance_sum < 0)
+            .count()
+    }
+
+    #[test]
+    fn a_road_just_above_where_far_rays_end_stays() {
+        let road = |place: Vec3| place.z + 0.7;
+        // They pass less than 2 cm above it for half a metre.
+        let [before, after] = carved(road, |ray| ray * (0.71 / -ray.z));
+        assert!(before == after && inside(&before) > 5000);
+        // And the test would see what is erased: rays that end half a metre deeper.
+        let [before, after] = carved(road, |ray| ray * (1.2 / -ray.z));
+        assert!(2 * inside(&after) < inside(&before), "{}", inside(&after));
+    }
+
+    #[test]
+    fn a_wall_that_rays_end_behind_goes() {
+        let wall = |place: Vec3| 20.0 - place.x;
+        let [before, after] = carved(wall, |ray| ray * (21.0 / ray.x));
+        assert!(
+            inside(&after) < inside(&before) / 2,
+            "{} of {}",
+            inside(&after),
+            inside(&before)
+        );
+        // Not if they end on it.
+        let [before, after] = carved(wall, |ray| ray * (20.01 / ray.x));
+        assert!(before == after);
     }
 
     #[test]

@@ -73,6 +73,19 @@ impl Region {
         Ok(*slot)
     }
 
+    /// The slot of a block that is updated now, as [`Self::slot_or_insert`] and [`Self::touch`] do.
+    #[inline]
+    fn slot_to_update(
+        &mut self,
+        block: usize,
+        touched: &mut Vec<BlockIndex>,
+        push: impl FnOnce() -> Result<u32, OutOfMemory>,
+    ) -> Result<u32, OutOfMemory> {
+        let slot = self.slot_or_insert(block, push)?;
+        self.touch(block, touched);
+        Ok(slot)
+    }
+
     /// Counts a block among those that are updated; the first time, it is added to `touched`.
     #[inline]
     fn touch(&mut self, block: usize, touched: &mut Vec<BlockIndex>) {
@@ -114,8 +127,7 @@ impl OpenRegion<'_> {
 
     #[inline(never)]
     fn find(&mut self, block: usize) -> Result<(), OutOfMemory> {
-        let slot = self.region.slot_or_insert(block, || self.near.push())?;
-        self.region.touch(block, self.touched);
+        let slot = self.region.slot_to_update(block, self.touched, || self.near.push())?;
         self.near.insert(block, slot);
         Ok(())
     }
@@ -185,10 +197,7 @@ impl Shard {
         block: usize,
         touched: &mut Vec<BlockIndex>,
     ) -> Result<u32, OutOfMemory> {
-        let region = &mut self.regions[number];
-        let slot = region.slot_or_insert(block, || self.blocks.push())?;
-        region.touch(block, touched);
-        Ok(slot)
+        self.regions[number].slot_to_update(block, touched, || self.blocks.push())
     }
 
     /// A region that integration number `stamp` updates, for many updates; blocks that it now updates are added to `touched`.
