@@ -57,6 +57,19 @@ fn offset_of(center: vec3<f32>, normal: vec3<f32>) -> f32 {
     return 1000.0;
 }
 
+// Whether the map holds another surface a little behind a place, which faces the same way.
+fn is_free(center: vec3<f32>, normal: vec3<f32>) -> bool {
+    var front = read_along(center, normal, -f32(OTHER));
+    for (var far = OTHER + 1u; far <= BEHIND_FREE; far++) {
+        let next = read_along(center, normal, -f32(far));
+        if front.z * next.z == 1.0 && front.y >= 0.0 && next.y < 0.0 {
+            return true;
+        }
+        front = next;
+    }
+    return false;
+}
+
 // Where the offset of each sampled return counts: its arm and its bin; NONE if it tells nothing.
 @compute @workgroup_size(64)
 fn sample_offsets(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {

@@ -15,33 +15,33 @@ fn fuse_return(i: u32, thread: u32) -> u32 {
         let ring = cell / frame.columns;
         let column = cell % frame.columns;
         if thread == 2u {
-            connect(patches[cell], next_in_row(ring, column), MAX_GAP_ACROSS_M);
+            connect(cell, next_in_row(ring, column), MAX_GAP_ACROSS_M, FREE_IN_ROW);
         } else if column % nth(frame.step_m / (frame.column_rad * length(patches[cell].center))) == 0u {
-            connect(patches[cell], next_in_column(ring, column), 1e30);
+            connect(cell, next_in_column(ring, column), 1e30, FREE_IN_COLUMN);
         }
     }
     return NO_RETURN;
 }
 
-// The neighbours of a cell: nothing, if there is no return near enough.
-fn next_in_row(ring: u32, column: u32) -> Patch {
+// The cells of neighbours: NONE, if there is no return near enough.
+fn next_in_row(ring: u32, column: u32) -> u32 {
     for (var k = 1u; k <= frame.neighbour_cells; k++) {
-        let near = patches[ring * frame.columns + (column + k) % frame.columns];
-        if near.kind != NOWHERE {
+        let near = ring * frame.columns + (column + k) % frame.columns;
+        if patches[near].kind != NOWHERE {
             return near;
         }
     }
-    return Patch(vec3(0.0), NOWHERE, vec3(0.0), 1u);
+    return NONE;
 }
 
-fn next_in_column(ring: u32, column: u32) -> Patch {
+fn next_in_column(ring: u32, column: u32) -> u32 {
     for (var k = 1u; k <= min(frame.neighbour_cells, frame.rings - 1u - ring); k++) {
-        let near = patches[(ring + k) * frame.columns + column];
-        if near.kind != NOWHERE {
+        let near = (ring + k) * frame.columns + column;
+        if patches[near].kind != NOWHERE {
             return near;
         }
     }
-    return Patch(vec3(0.0), NOWHERE, vec3(0.0), 1u);
+    return NONE;
 }
 
 // How far in front of it a patch is fused, in voxels.
@@ -61,7 +61,7 @@ fn fuse_patch(surface: Patch) -> u32 {
     let crowd = max(frame.crowd * cosine / (range_m * range_m), 1.0);
     let off = sigma * (1.0 / HALVING);
     let share = 1.0 / (1.0 + crowd * off * off);
-    var l = line(center, surface.normal, share * weight_of(surface) * f32(surface.turn));
+    var l = line(center, surface.normal, share * weight_of(surface) * f32(surface.turn & TIMES));
     l.reach = clamp(SIGMAS * sigma, front(), frame.truncation_vox);
     walk(l);
     return FUSED;
@@ -94,13 +94,13 @@ fn nth(dense: f32) -> u32 {
     return 1u << firstLeadingBit(max(u32(dense), 1u));
 }
 
-// Fuses the surface between two neighbours, if both lie on the same one and are no farther apart than this.
-fn connect(a: Patch, b: Patch, longest_m: f32) {
-    // The end that takes part more often, since it is less known, tells when.
-    let turn = select(a.turn, b.turn, (b.turn & ~WAITS) < (a.turn & ~WAITS));
-    if (turn & WAITS) != 0u {
-        return;
-    }
+// What is known between two neighbours: NOWHERE, if nothing tells that they are of one surface, or if they are too far apart.
+struct Link {
+    kind: u32,
+    is_wide: bool,
+}
+
+fn linked(a: Patch, b: Patch, longest_m: f32) -> Link {
     let apart = b.center - a.center;
     let gap = length(apart);
     let range = min(length(a.center), length(b.center));
@@ -109,6 +109,7 @@ fn connect(a: Patch, b: Patch, longest_m: f32) {
     let kind = min(a.kind, b.kind);
     // Without a plane the normal is zero, and so is this.
     let off = max(abs(dot(a.normal, apart)), abs(dot(b.normal, apart)));
+    var is_wide = false;
     var is_one = gap <= widest && off <= frame.window_m && abs(length(b.center) - length(a.center)) <= MIN_DOT * gap;
     if kind > RAY {
         // A plane through half of a window is known as far as the window reaches; a plane through a whole one, as far as the sensor sees it.
@@ -118,18 +119,49 @@ fn connect(a: Patch, b: Patch, longest_m: f32) {
         is_one = select(gap, length(seen), kind == WHOLE) <= far
             && off <= MAX_OFF_BETWEEN * noise_m() && dot(a.normal, b.normal) >= MIN_DOT;
         // Two whole ones that agree certify what lies between.
+        is_wide = kind == WHOLE && length(seen) > widest;
         is_one = is_one || (kind == WHOLE && length(seen) <= COPLANAR_GAPS * widest && gap <= COPLANAR_LENGTH_M
             && off <= COPLANAR_OFF_M && dot(a.normal, b.normal) >= COPLANAR_DOT);
     }
-    if kind == NOWHERE || gap < frame.step_m || gap > min(longest_m, MAX_GAP_OF_RANGE * range) || !is_one {
+    if gap < frame.step_m || gap > min(longest_m, MAX_GAP_OF_RANGE * range) || !is_one {
+        return Link(NOWHERE, false);
+    }
+    return Link(kind, is_wide);
+}
+
+// How many steps there are from one to the other.
+fn steps_between(a: Patch, b: Patch) -> f32 {
+    return ceil(length(b.center - a.center) / frame.step_m);
+}
+
+// The patch between two that is this part of the way on.
+fn between(a: Patch, b: Patch, kind: u32, t: f32) -> Patch {
+    let center = a.center + (b.center - a.center) * t;
+    let normal = select(a.normal + (b.normal - a.normal) * t, -center, kind == RAY);
+    return Patch(center, kind, normal / max(length(normal), 1e-30), 1u);
+}
+
+// Fuses the surface between a cell and a neighbour, if both lie on the same one and are no farther apart than this, unless it is free.
+fn connect(cell: u32, near: u32, longest_m: f32, free: u32) {
+    if near == NONE || (patches[cell].turn & free) != 0u {
         return;
     }
-    let steps = ceil(gap / frame.step_m);
+    let a = patches[cell];
+    let b = patches[near];
+    // The end that takes part more often, since it is less known, tells when.
+    let turn = select(a.turn, b.turn, (b.turn & TIMES) < (a.turn & TIMES));
+    if (turn & WAITS) != 0u {
+        return;
+    }
+    let link = linked(a, b, longest_m);
+    if link.kind == NOWHERE {
+        return;
+    }
+    let steps = steps_between(a, b);
     for (var k = 1.0; k < steps; k += 1.0) {
-        let t = k / steps;
-        let center = a.center + apart * t;
-        let normal = select(a.normal + (b.normal - a.normal) * t, -center, kind == RAY);
-        fuse_patch(Patch(center, kind, normal / max(length(normal), 1e-30), turn));
+        var surface = between(a, b, link.kind, k / steps);
+        surface.turn = turn;
+        fuse_patch(surface);
     }
 }
 

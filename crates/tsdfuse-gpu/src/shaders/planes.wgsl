@@ -12,11 +12,15 @@ struct Patch {
     kind: u32,
     // Faces the sensor; zero for a return without a plane.
     normal: vec3<f32>,
-    // It takes part in one of so many scans; with WAITS, in none now.
+    // It takes part in one of so many scans (TIMES); with WAITS, in none now; and which links to neighbours are not made.
     turn: u32,
 }
 
+const TIMES: u32 = 0xffu;
 const WAITS: u32 = 0x100u;
+// The wide links to the next ring and to the next column pass through free space.
+const FREE_IN_COLUMN: u32 = 0x200u;
+const FREE_IN_ROW: u32 = 0x400u;
 
 // What is known about the surface at a patch: nothing, the end of a ray, a plane through half of the window, or through all of it.
 const NOWHERE: u32 = 0u;

@@ -24,22 +24,53 @@ fn center_of_patch(surface: Patch) -> Center {
     return Center(frame.anchor_voxel + vec3<i32>(floor(at)), all(abs(at) < vec3(MAX_REACH)));
 }
 
+// When a patch takes part: TIMES and WAITS.
+fn turn_of(surface: Patch) -> u32 {
+    let center = center_of_patch(surface);
+    let block = center.voxel >> vec3(3u);
+    let slot = slot_of(block);
+    if !is_plane(surface) || sigma_vox(arm_m(surface)) > AGREES || !center.is_there || slot == NONE {
+        return 1u;
+    }
+    let at = vec3<u32>(center.voxel & vec3(7));
+    let times = times_of(surface, load_voxel(slot, at.x | at.y << 3u | at.z << 6u));
+    let is_due = ((u32(block.x + block.y + block.z) + frame.stamp) & (times - 1u)) == 0u;
+    return select(times | WAITS, times, is_due);
+}
+
+// Whether the link from a patch to that of another cell is wide and passes before surface that the map holds.
+fn is_free_link(a: Patch, near: u32, longest_m: f32) -> bool {
+    if near == NONE {
+        return false;
+    }
+    // Turns are being written.
+    let b = Patch(patches[near].center, patches[near].kind, patches[near].normal, 1u);
+    if !linked(a, b, longest_m).is_wide {
+        return false;
+    }
+    let steps = steps_between(a, b);
+    for (var k = 1.0; k < steps; k += 1.0) {
+        let surface = between(a, b, WHOLE, k / steps);
+        let center = frame.anchor_fraction + surface.center * frame.voxels_per_m;
+        if all(abs(center) < vec3(MAX_REACH)) && is_free(center, surface.normal) {
+            return true;
+        }
+    }
+    return false;
+}
+
 @compute @workgroup_size(64)
 fn find_turns(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var cell = id.x; cell < frame.rings * frame.columns; cell += 64u * groups.x) {
-        if !is_plane(patches[cell]) || sigma_vox(arm_m(patches[cell])) > AGREES {
-            continue;
+        let surface = Patch(patches[cell].center, patches[cell].kind, patches[cell].normal, 1u);
+        var turn = turn_of(surface);
+        if surface.kind == WHOLE {
+            let ring = cell / frame.columns;
+            let column = cell % frame.columns;
+            turn |= select(0u, FREE_IN_COLUMN, is_free_link(surface, next_in_column(ring, column), 1e30));
+            turn |= select(0u, FREE_IN_ROW, is_free_link(surface, next_in_row(ring, column), MAX_GAP_ACROSS_M));
         }
-        let center = center_of_patch(patches[cell]);
-        let block = center.voxel >> vec3(3u);
-        let slot = slot_of(block);
-        if !center.is_there || slot == NONE {
-            continue;
-        }
-        let at = vec3<u32>(center.voxel & vec3(7));
-        let times = times_of(patches[cell], load_voxel(slot, at.x | at.y << 3u | at.z << 6u));
-        let is_due = ((u32(block.x + block.y + block.z) + frame.stamp) & (times - 1u)) == 0u;
-        patches[cell].turn = select(times | WAITS, times, is_due);
+        patches[cell].turn = turn;
     }
 }
 

@@ -169,6 +169,55 @@ fn what_moved_on_is_erased_alike_by_a_sensor_on_a_winding_way() {
     assert!(differing(&run(&scans), &run(&straight), PLANES) > 0.3);
 }
 
+/// A wall 4 m ahead with a window, 1.6 × 0.6 m, whose pane lies 20 cm behind; the sensor is pitched.
+fn window_scan(pitch_deg: f64) -> (Scan, SensorModel) {
+    let elevations = vec![-15.0, -10.0, -5.0, 5.0, 10.0, 15.0];
+    let sensor = SensorModel::from_beams("window", elevations, 1024, (0.1, 100.0)).unwrap();
+    let projection = Projection::new(&sensor);
+    let rotation = DQuat::from_rotation_y(pitch_deg.to_radians());
+    let beams = (-100..=100).flat_map(|column: i32| (0..6_u16).map(move |ring| (ring, column.rem_euclid(1024))));
+    let point = |(ring, column): (u16, i32)| {
+        let number = 1024 * usize::from(ring) + column as usize + (9000.0 * pitch_deg.abs()) as usize;
+        let (row, column) = (f64::from(ring), f64::from(column));
+        let direction = projection.direction(Pixel { row, column });
+        let ray = rotation * direction;
+        let at = ray * (4.0 / ray.x);
+        let is_window = at.y.abs() < 0.8 && at.z.abs() < 0.3;
+        let range = if is_window { 4.2 } else { 4.0 } / ray.x;
+        let noise = 0.02 * (random(number) - 0.5);
+        ((direction * (range + noise)).as_vec3(), ring)
+    };
+    let (points, rings) = beams.map(point).unzip();
+    let scan = Scan {
+        points,
+        rings: Some(rings),
+        pose: Some(Pose {
+            rotation,
+            ..Pose::IDENTITY
+        }),
+        ..Scan::default()
+    };
+    (scan, sensor)
+}
+
+#[test]
+fn wide_links_do_not_close_windows_whose_panes_are_known() {
+    // Two rings pass above and below the window, …
+    let (across, sensor) = window_scan(0.0);
+    // … and those of these scans meet the pane.
+    let mut scans: Vec<Scan> = (2..=8).map(|down| window_scan(-f64::from(down)).0).collect();
+    let closed = |scans: &[Scan]| {
+        let config = FuseConfig::default();
+        let map = on_cpu(scans, Method::Patch, &config, MapConfig::default(), Some(&sensor)).0;
+        let places = (-5..=5).map(|y| DVec3::new(4.0, 0.1 * f64::from(y), 0.0));
+        places.filter(|&place| map.sample(place).is_some()).count()
+    };
+    assert_eq!(closed(std::slice::from_ref(&across)), 11);
+    scans.push(across);
+    assert_eq!(closed(&scans), 0);
+    assert_the_same(&scans, &FuseConfig::default(), Some(&sensor), "patch, a window");
+}
+
 #[test]
 fn other_windows_noise_and_gaps() {
     let Some(gpu) = gpu() else { return };

@@ -21,6 +21,12 @@ pub const LOOK: usize = 4;
 /// Arms: below 2 m, 4 m, …, and all above.
 pub const ARMS: usize = 6;
 
+/// Behind a place, from this many voxels on, surface is another one than that at the place, …
+pub const OTHER: usize = 2;
+
+/// … and up to this many, as deep as windows lie in façades, it tells that the place is free.
+pub const BEHIND_FREE: usize = 6;
+
 /// Offsets are counted in bins, this many to a voxel.
 pub const BINS_PER_VOXEL: usize = 16;
 
@@ -139,24 +145,49 @@ fn sigma(counts: &[u32; BINS]) -> Option<f32> {
     None
 }
 
-/// How far in front of a place the map's surface is, along a normal, in voxels: where the distance passes 0, the nearest first.
-fn offset(map: &VoxelMap, at: GridPoint, normal: Vec3) -> Option<f32> {
-    let truncation = map.config().truncation_vox();
-    // Mostly one block.
-    let mut last_block: Option<(BlockIndex, Option<&Block>)> = None;
-    // How far a voxel's centre is along the normal, and its distance to the surface.
-    let mut read = |step: f32| {
+/// Reads the map along a normal.
+struct Along<'a> {
+    map: &'a VoxelMap,
+    at: GridPoint,
+    normal: Vec3,
+    /// Mostly it is that of the next voxel, too.
+    last_block: Option<(BlockIndex, Option<&'a Block>)>,
+}
+
+impl<'a> Along<'a> {
+    fn new(map: &'a VoxelMap, at: GridPoint, normal: Vec3) -> Self {
+        Self {
+            map,
+            at,
+            normal,
+            last_block: None,
+        }
+    }
+
+    /// The voxel some steps in front of the place, as long as voxels: how far its centre is along the normal, and what it holds, if it was observed.
+    #[inline(always)]
+    fn read(&mut self, step: f32) -> Option<(f32, Voxel)> {
+        let Self { map, at, normal, .. } = *self;
         let low = floor((at.fraction + normal * step).as_dvec3());
         let (corner, place) = (low.as_vec3(), at.voxel + low);
         let index = BlockIndex::of(place);
-        let block = match last_block {
+        let block = match self.last_block {
             Some((last, block)) if last == index => block,
             _ => map.block(index),
         };
-        last_block = Some((index, block));
-        let voxel = block.map_or_else(Voxel::default, |block| block.voxels[local_number(place)]);
-        let distance = truncation * voxel.distance_sum as f32 / voxel.weight_sum as f32;
-        (voxel.weight_sum > 0).then(|| ((corner + 0.5 - at.fraction).dot(normal), distance))
+        self.last_block = Some((index, block));
+        let voxel = block?.voxels[local_number(place)];
+        (voxel.weight_sum > 0).then(|| ((corner + 0.5 - at.fraction).dot(normal), voxel))
+    }
+}
+
+/// How far in front of a place the map's surface is, along a normal, in voxels: where the distance passes 0, the nearest first.
+fn offset(map: &VoxelMap, at: GridPoint, normal: Vec3) -> Option<f32> {
+    let truncation = map.config().truncation_vox();
+    let mut along = Along::new(map, at, normal);
+    let mut read = |step: f32| {
+        let distance = |voxel: Voxel| truncation * voxel.distance_sum as f32 / voxel.weight_sum as f32;
+        along.read(step).map(|(along, voxel)| (along, distance(voxel)))
     };
     let mut last = [read(0.0); 2];
     for step in 1..=LOOK {
@@ -177,14 +208,28 @@ fn offset(map: &VoxelMap, at: GridPoint, normal: Vec3) -> Option<f32> {
     None
 }
 
+/// Whether the map holds another surface a little behind a place, along a normal, that faces the same way: what was seen of it was seen through the place.
+pub(super) fn is_free(map: &VoxelMap, at: GridPoint, normal: Vec3) -> bool {
+    let mut along = Along::new(map, at, normal);
+    let mut sum = |step: usize| along.read(-(step as f32)).map(|(_, voxel)| voxel.distance_sum);
+    let mut front = sum(OTHER);
+    (OTHER + 1..=BEHIND_FREE).any(|step| {
+        let next = sum(step);
+        let is_surface = front.is_some_and(|sum| sum >= 0) && next.is_some_and(|sum| sum < 0);
+        front = next;
+        is_surface
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{
         Integrator, MapConfig, Pose, Scan,
+        map::testing::map_of,
         sensor::{model, testing::scan_room},
     };
-    use glam::{DQuat, DVec3};
+    use glam::{DQuat, DVec3, IVec3};
 
     #[test]
     fn arms_are_powers_of_two() {
@@ -249,5 +294,21 @@ mod tests {
         );
         assert_eq!(share(0.0, 20.0), 1.0);
         assert!(share(1.0, 20.0) < share(1.0, 1.0) && share(1.0, 1.0) < 1.0);
+    }
+
+    #[test]
+    fn before_a_pane_it_is_free_but_not_before_the_other_side_of_a_wall() {
+        let is_free = |height_m: fn(f32) -> f32, x: f32| {
+            let map = map_of(IVec3::new(4, -1, -1), IVec3::new(7, 1, 1), |place| height_m(place.x));
+            let anchor = map.grid().anchor(DVec3::ZERO).unwrap();
+            is_free(&map, anchor.locate(Vec3::new(x, 0.0, 0.0)).unwrap(), -Vec3::X)
+        };
+        // Seen from smaller x.
+        let pane = |x: f32| 2.02 - x;
+        assert!(is_free(pane, 1.87) && is_free(pane, 1.78));
+        assert!(!is_free(pane, 1.6) && !is_free(pane, 2.0) && !is_free(pane, 2.05));
+        // 20 cm thick, seen from both sides.
+        let wall = |x: f32| (x - 2.0).abs() - 0.1;
+        assert!(!is_free(wall, 1.9) && !is_free(wall, 1.95) && is_free(wall, 1.7));
     }
 }

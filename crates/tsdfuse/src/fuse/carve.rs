@@ -409,9 +409,10 @@ fn fade(voxel: &mut Voxel) {
 mod tests {
     use super::*;
     use crate::{
-        MapConfig, Pose,
+        Pose,
         fuse::depth::world_axes,
-        index::{Grid, voxel_at},
+        index::Grid,
+        map::testing::map_of,
         scan::PoseAt,
         sensor::{model, testing::scan_room},
     };
@@ -483,29 +484,7 @@ mod tests {
 
     /// A map of one plane 20 m ahead, seen often, and the same after rays without planes have passed it for some scans.
     fn carved(height_m: impl Fn(Vec3) -> f32, end: impl Fn(Vec3) -> Vec3) -> [VoxelMap; 2] {
-        let mut map = VoxelMap::new(MapConfig::default()).unwrap();
-        let (grid, truncation_m) = (map.grid(), map.config().truncation_m as f32);
-        let (x, y, z) = (45..55, -2..2, -4..0);
-        let indices = x.flat_map(|x| {
-            y.clone().flat_map({
-                let z = z.clone();
-                move |y| z.clone().map(move |z| BlockIndex(IVec3::new(x, y, z)))
-            })
-        });
-        for index in indices {
-            let mut block = Block::EMPTY;
-            for (i, voxel) in block.voxels.iter_mut().enumerate() {
-                let height = height_m(grid.center(voxel_at(index, i)).as_vec3());
-                if height.abs() < 0.1 {
-                    let weight_sum = 20 * WEIGHT_SCALE;
-                    *voxel = Voxel {
-                        weight_sum,
-                        distance_sum: (height / truncation_m * weight_sum as f32) as i32,
-                    };
-                }
-            }
-            map.replace_block(index, block).unwrap();
-        }
+        let mut map = map_of(IVec3::new(45, -2, -4), IVec3::new(55, 2, 0), height_m);
         let before = map.clone();
         let elevations: Vec<f32> = (0..32).map(|ring| -6.0 + 0.18 * ring as f32).collect();
         let sensor = SensorModel::from_beams("dense", elevations, 2048, (0.1, 100.0)).unwrap();
@@ -526,7 +505,7 @@ mod tests {
         let (mut image, mut placed, mut carver) = (ScanImage::new(), Placed::default(), Carver::default());
         image.update(&scan.points, scan.rings.as_ref().unwrap(), &sensor);
         let centers = Centers {
-            anchor: placed.place(grid, &scan).unwrap(),
+            anchor: placed.place(map.grid(), &scan).unwrap(),
             origin: Vec3::ZERO,
             rotation: Mat3::IDENTITY,
             voxel_size_m: 0.05,

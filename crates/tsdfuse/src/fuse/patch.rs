@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     FuseError, Integration, Integrator,
-    agreement::{Agreement, CROWD, SIGMAS, share},
+    agreement::{Agreement, CROWD, SIGMAS, is_free, share},
     beams::Beams,
     carve::{Carver, Seen},
     centers::Centers,
@@ -31,7 +31,7 @@ use super::{
 use crate::{
     map::{MapConfig, OutOfMemory, VoxelMap},
     memory::prefetch,
-    patch::{Limits, Patches, RAY_WEIGHT, widest_gap_m},
+    patch::{self, Limits, Patches, RAY_WEIGHT, widest_gap_m},
     reach::Reach,
     scan::Scan,
     sensor::{ScanImage, SensorModel},
@@ -191,8 +191,12 @@ impl Integrator for Patch {
         if looks {
             self.settled.find(map, anchor, crowd, agreement, &mut self.patches.all);
         }
+        let is_free = |patch: &patch::Patch| {
+            let center = anchor.locate(patch.center).filter(|_| looks);
+            center.is_some_and(|center| is_free(map, center, patch.normal))
+        };
         self.patches
-            .link(image, column_rad, &limits)
+            .link(image, column_rad, &limits, is_free)
             .ok_or(OutOfMemory::Limit {
                 limit_bytes: map.memory_limit(),
             })?;

@@ -24,6 +24,8 @@ mod region;
 mod sample;
 mod shard;
 mod tally;
+#[cfg(test)]
+pub(crate) mod testing;
 mod update;
 mod voxel_map;
 mod warp;

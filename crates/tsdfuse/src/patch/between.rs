@@ -16,7 +16,7 @@ pub const MIN_DOT: f32 = 0.9;
 /// Each of the two lies on the plane of the other, up to this many standard deviations of ranges.
 pub const MAX_OFF: f32 = 4.0;
 
-/// Two planes of whole windows certify what lies between them, up to this many times the widest gap, …
+/// Two planes of whole windows certify what lies between them, up to this many times the widest gap, if the map knows of no surface behind it, …
 pub const COPLANAR_GAPS: f32 = 4.0;
 
 /// … but no farther than this, metres, …
@@ -55,13 +55,15 @@ pub(super) struct Between {
 }
 
 impl Between {
-    /// Appends them; `None` if there are too many of them, because voxels are very small.
+    /// Appends them; `None` if there are too many of them, because voxels are very small. No wide link is made where a patch of it `is_free`: the map
+    /// holds surface behind it.
     pub(super) fn append_to(
         &mut self,
         all: &mut Vec<Patch>,
         image: &ScanImage,
         column_rad: f32,
         limits: &Limits,
+        is_free: impl Fn(&Patch) -> bool + Sync,
     ) -> Option<()> {
         let count = all.len();
         self.parts.resize_with(count.div_ceil(PART), Vec::new);
@@ -89,14 +91,17 @@ impl Between {
                     if !turn.is_due {
                         continue;
                     }
-                    if let Some(kind) = linked(&all[i], &all[other], longest_m, limits) {
-                        let more =
-                            on_the_way(&all[i], &all[other], kind, limits.step_m).map(|patch| Patch { turn, ..patch });
-                        if more.len() > room - between.len() {
-                            return None;
-                        }
-                        between.extend(more);
+                    let Some(link) = linked(&all[i], &all[other], longest_m, limits) else {
+                        continue;
+                    };
+                    let more = on_the_way(&all[i], &all[other], link.kind, limits.step_m);
+                    if more.len() > room - between.len() {
+                        return None;
                     }
+                    if link.is_wide && more.clone().any(|patch| is_free(&patch)) {
+                        continue;
+                    }
+                    between.extend(more.map(|patch| Patch { turn, ..patch }));
                 }
             }
             Some(())
@@ -112,9 +117,17 @@ fn nth(dense: f32) -> usize {
     1 << (dense as u32).max(1).ilog2()
 }
 
+/// What is known between two neighbours.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Link {
+    kind: Kind,
+    /// Something as large as a window of a house would be missed between the two rays.
+    is_wide: bool,
+}
+
 /// What is known between two neighbours; `None` if nothing tells that they are of one surface, or if they are too far apart.
 #[inline(always)]
-fn linked(a: &Patch, b: &Patch, longest_m: f32, limits: &Limits) -> Option<Kind> {
+fn linked(a: &Patch, b: &Patch, longest_m: f32, limits: &Limits) -> Option<Link> {
     let apart = b.center - a.center;
     let gap = apart.length();
     // As most are not. Also false for NaN.
@@ -131,6 +144,7 @@ fn linked(a: &Patch, b: &Patch, longest_m: f32, limits: &Limits) -> Option<Kind>
     let off = a.normal.dot(apart).abs().max(b.normal.dot(apart).abs());
     let is_one_plane = || off <= MAX_OFF * limits.noise_m && a.normal.dot(b.normal) >= MIN_DOT;
     let kind = a.kind.min(b.kind);
+    let mut is_wide = false;
     let is_one = match kind {
         Kind::Ray => gap <= widest && off <= limits.window_m && (ranges[1] - ranges[0]).abs() <= MIN_DOT * gap,
         // It is known as far as the part of the window reaches that it takes.
@@ -141,19 +155,20 @@ fn linked(a: &Patch, b: &Patch, longest_m: f32, limits: &Limits) -> Option<Kind>
         // As the sensor sees it: what could stand between two rings on a road is no higher.
         Kind::Whole => {
             let seen = apart.reject_from(a.center + b.center).length();
-            seen <= widest && is_one_plane()
+            is_wide = seen > widest;
+            !is_wide && is_one_plane()
                 || seen <= COPLANAR_GAPS * widest
                     && gap <= COPLANAR_LENGTH_M
                     && off <= COPLANAR_OFF_M
                     && a.normal.dot(b.normal) >= COPLANAR_DOT
         }
     };
-    is_one.then_some(kind)
+    is_one.then_some(Link { kind, is_wide })
 }
 
 /// Patches between two.
 #[inline(always)]
-fn on_the_way(a: &Patch, b: &Patch, kind: Kind, step_m: f32) -> impl ExactSizeIterator<Item = Patch> {
+fn on_the_way(a: &Patch, b: &Patch, kind: Kind, step_m: f32) -> impl ExactSizeIterator<Item = Patch> + Clone {
     let steps = (a.center.distance(b.center) / step_m).ceil();
     (1..steps as usize).map(move |k| {
         let mixed = |a: Vec3, b: Vec3| a + (b - a) * (k as f32 / steps);
@@ -200,7 +215,7 @@ mod tests {
         let at = |y: f32| patch(Vec3::new(range, y, 0.0), normal, kind);
         let limits = Limits { max_gap_m, ..LIMITS };
         let link = linked(&at(-0.5 * gap), &at(0.5 * gap), f32::INFINITY, &limits);
-        assert!(link.is_none_or(|link| link == kind));
+        assert!(link.is_none_or(|link| link.kind == kind));
         link.is_some()
     }
 
@@ -252,7 +267,7 @@ mod tests {
                 ..LIMITS
             };
             Between::default()
-                .append_to(&mut all, &image, wide_rad, &limits)
+                .append_to(&mut all, &image, wide_rad, &limits, |_| false)
                 .unwrap();
             all.len() - points.len()
         };
@@ -262,10 +277,35 @@ mod tests {
     }
 
     #[test]
+    fn wide_gaps_stay_where_surface_lies_behind() {
+        // Two rings on a wall, and a window between them.
+        let count = |apart_deg: f32, window: bool| {
+            let sensor = SensorModel::from_beams("two rings", vec![0.0, apart_deg], 900, (0.1, 100.0)).unwrap();
+            let wide_rad = std::f32::consts::TAU / 900.0;
+            let up = 8.0 * apart_deg.to_radians().tan();
+            let points = [0.0, up].map(|up| Vec3::new(8.0, -4.0 * wide_rad, up));
+            let mut image = ScanImage::new();
+            image.update(&points, &[0, 1], &sensor);
+            let mut all: Vec<Patch> = points.map(|p| patch(p, -Vec3::X, Kind::Whole)).to_vec();
+            let is_free = |patch: &Patch| window && (patch.center.z - 0.5 * up).abs() < 0.1;
+            Between::default()
+                .append_to(&mut all, &image, wide_rad, &LIMITS, is_free)
+                .unwrap();
+            all.len() - points.len()
+        };
+        // 0.7 m apart: more than the 0.4 m that are closed anyhow.
+        assert_eq!((count(5.0, false), count(5.0, true)), (9, 0));
+        assert_eq!((count(2.5, false), count(2.5, true)), (4, 4));
+    }
+
+    #[test]
     fn on_a_road_the_gap_is_what_the_sensor_sees_of_it() {
         // 1.8 m below the sensor; rays meet it at 9°.
         let road = |x: f32, kind: Kind| patch(Vec3::new(x, 0.0, -1.8), Vec3::Z, kind);
-        let of = |kind: Kind, far: f32| linked(&road(11.0, kind), &road(far, kind), f32::INFINITY, &LIMITS);
+        let of = |kind: Kind, far: f32| {
+            let link = linked(&road(11.0, kind), &road(far, kind), f32::INFINITY, &LIMITS);
+            link.map(|link| link.kind)
+        };
         assert_eq!(of(Kind::Whole, 13.6), Some(Kind::Whole)); // 0.38 m
         assert_eq!(of(Kind::Whole, 14.1), None); // more than 3 m
         assert_eq!((of(Kind::Half, 11.3), of(Kind::Ray, 11.3)), (None, None));
@@ -295,11 +335,10 @@ mod tests {
     fn along_a_row_of_facades_openings_are_not_closed() {
         // 2 m beside the sensor; rays meet it at 8°.
         let facade = |x: f32| patch(Vec3::new(x, 2.0, 0.0), -Vec3::Y, Kind::Whole);
-        let of = |far: f32| linked(&facade(14.0), &facade(far), MAX_GAP_ACROSS_M, &LIMITS);
-        assert_eq!(of(14.9), Some(Kind::Whole));
-        assert_eq!(of(15.1), None);
-        let as_rings = linked(&facade(14.0), &facade(15.1), f32::INFINITY, &LIMITS);
-        assert_eq!(as_rings, Some(Kind::Whole));
+        let is_linked = |far: f32, longest_m: f32| linked(&facade(14.0), &facade(far), longest_m, &LIMITS).is_some();
+        assert!(is_linked(14.9, MAX_GAP_ACROSS_M) && !is_linked(15.1, MAX_GAP_ACROSS_M));
+        // As rings.
+        assert!(is_linked(15.1, f32::INFINITY));
     }
 
     #[test]
