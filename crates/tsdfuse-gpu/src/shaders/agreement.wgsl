@@ -59,8 +59,8 @@ fn offset_of(center: vec3<f32>, normal: vec3<f32>) -> f32 {
 
 // Whether the map holds another surface a little behind a place, which faces the same way.
 fn is_free(center: vec3<f32>, normal: vec3<f32>) -> bool {
-    var front = read_along(center, normal, -f32(OTHER));
-    for (var far = OTHER + 1u; far <= BEHIND_FREE; far++) {
+    var front = read_along(center, normal, -f32(BEHIND_OWN));
+    for (var far = BEHIND_OWN + 1u; far <= BEHIND_FREE; far++) {
         let next = read_along(center, normal, -f32(far));
         if front.z * next.z == 1.0 && front.y >= 0.0 && next.y < 0.0 {
             return true;
@@ -80,11 +80,11 @@ fn sample_offsets(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wor
             continue;
         }
         let surface = patches[i];
-        let center = frame.anchor_fraction + surface.center * frame.voxels_per_m;
-        if !all(abs(center) < vec3(MAX_REACH)) {
+        let center = center_of_patch(surface);
+        if !center.is_there {
             continue;
         }
-        let off = abs(offset_of(center, surface.normal));
+        let off = abs(offset_of(center.at, surface.normal));
         if off < f32(LOOK) {
             let bin = min(u32(off * f32(BINS_PER_VOXEL)), BINS - 1u);
             noise[n + SAMPLES_AT] = u32(place_of_arm(arm_m(surface))) * BINS + bin;

@@ -49,9 +49,20 @@ fn front() -> f32 {
     return min(FRONT, frame.truncation_vox);
 }
 
+// Where a patch lies in the grid, in voxels from the anchor's; the second part is false if it is outside.
+struct Center {
+    at: vec3<f32>,
+    is_there: bool,
+}
+
+fn center_of_patch(surface: Patch) -> Center {
+    let at = frame.anchor_fraction + surface.center * frame.voxels_per_m;
+    return Center(at, all(abs(at) < vec3(MAX_REACH)));
+}
+
 fn fuse_patch(surface: Patch) -> u32 {
-    let center = frame.anchor_fraction + surface.center * frame.voxels_per_m;
-    if !all(abs(center) < vec3(MAX_REACH)) {
+    let center = center_of_patch(surface);
+    if !center.is_there {
         return OUTSIDE_GRID;
     }
     let range_m = max(length(surface.center), 1e-30);
@@ -61,7 +72,7 @@ fn fuse_patch(surface: Patch) -> u32 {
     let crowd = max(frame.crowd * cosine / (range_m * range_m), 1.0);
     let off = sigma * (1.0 / HALVING);
     let share = 1.0 / (1.0 + crowd * off * off);
-    var l = line(center, surface.normal, share * weight_of(surface) * f32(surface.turn & TIMES));
+    var l = line(center.at, surface.normal, share * weight_of(surface) * f32(surface.turn & TIMES));
     l.reach = clamp(SIGMAS * sigma, front(), frame.truncation_vox);
     walk(l);
     return FUSED;

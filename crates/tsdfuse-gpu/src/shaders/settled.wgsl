@@ -13,26 +13,24 @@ fn times_of(surface: Patch, voxel: vec2<u32>) -> u32 {
     return select(1u << firstLeadingBit(most), 1u, is_other);
 }
 
-// The voxel of the grid that a patch lies in; the second part is false if it is outside.
-struct Center {
-    voxel: vec3<i32>,
-    is_there: bool,
-}
-
-fn center_of_patch(surface: Patch) -> Center {
-    let at = frame.anchor_fraction + surface.center * frame.voxels_per_m;
-    return Center(frame.anchor_voxel + vec3<i32>(floor(at)), all(abs(at) < vec3(MAX_REACH)));
+// The voxel of the grid that a patch lies in.
+fn voxel_of(center: Center) -> vec3<i32> {
+    return frame.anchor_voxel + vec3<i32>(floor(center.at));
 }
 
 // When a patch takes part: TIMES and WAITS.
 fn turn_of(surface: Patch) -> u32 {
     let center = center_of_patch(surface);
-    let block = center.voxel >> vec3(3u);
-    let slot = slot_of(block);
-    if !is_plane(surface) || sigma_vox(arm_m(surface)) > AGREES || !center.is_there || slot == NONE {
+    if !is_plane(surface) || sigma_vox(arm_m(surface)) > AGREES || !center.is_there {
         return 1u;
     }
-    let at = vec3<u32>(center.voxel & vec3(7));
+    let voxel = voxel_of(center);
+    let block = voxel >> vec3(3u);
+    let slot = slot_of(block);
+    if slot == NONE {
+        return 1u;
+    }
+    let at = vec3<u32>(voxel & vec3(7));
     let times = times_of(surface, load_voxel(slot, at.x | at.y << 3u | at.z << 6u));
     let is_due = ((u32(block.x + block.y + block.z) + frame.stamp) & (times - 1u)) == 0u;
     return select(times | WAITS, times, is_due);
@@ -51,8 +49,8 @@ fn is_free_link(a: Patch, near: u32, longest_m: f32) -> bool {
     let steps = steps_between(a, b);
     for (var k = 1.0; k < steps; k += 1.0) {
         let surface = between(a, b, WHOLE, k / steps);
-        let center = frame.anchor_fraction + surface.center * frame.voxels_per_m;
-        if all(abs(center) < vec3(MAX_REACH)) && is_free(center, surface.normal) {
+        let center = center_of_patch(surface);
+        if center.is_there && is_free(center.at, surface.normal) {
             return true;
         }
     }
@@ -62,7 +60,7 @@ fn is_free_link(a: Patch, near: u32, longest_m: f32) -> bool {
 @compute @workgroup_size(64)
 fn find_turns(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var cell = id.x; cell < frame.rings * frame.columns; cell += 64u * groups.x) {
-        let surface = Patch(patches[cell].center, patches[cell].kind, patches[cell].normal, 1u);
+        let surface = patches[cell];
         var turn = turn_of(surface);
         if surface.kind == WHOLE {
             let ring = cell / frame.columns;
@@ -83,7 +81,7 @@ fn mark_waiting(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
     }
     for (var cell = id.x; cell < frame.rings * frame.columns; cell += 64u * groups.x) {
         if patches[cell].kind != NOWHERE && (patches[cell].turn & WAITS) != 0u {
-            let slot = slot_of(center_of_patch(patches[cell]).voxel >> vec3(3u));
+            let slot = slot_of(voxel_of(center_of_patch(patches[cell])) >> vec3(3u));
             if slot != NONE {
                 atomicStore(&blocks[slot].stamp, frame.stamp);
             }

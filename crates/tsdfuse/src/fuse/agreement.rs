@@ -21,10 +21,10 @@ pub const LOOK: usize = 4;
 /// Arms: below 2 m, 4 m, …, and all above.
 pub const ARMS: usize = 6;
 
-/// Behind a place, from this many voxels on, surface is another one than that at the place, …
-pub const OTHER: usize = 2;
+/// Up to this many voxels behind a place, surface is that of the place itself; …
+pub const BEHIND_OWN: usize = 2;
 
-/// … and up to this many, as deep as windows lie in façades, it tells that the place is free.
+/// … from there up to this many, as deep as windows lie in façades, it tells that the place is free.
 pub const BEHIND_FREE: usize = 6;
 
 /// Offsets are counted in bins, this many to a voxel.
@@ -212,8 +212,8 @@ fn offset(map: &VoxelMap, at: GridPoint, normal: Vec3) -> Option<f32> {
 pub(super) fn is_free(map: &VoxelMap, at: GridPoint, normal: Vec3) -> bool {
     let mut along = Along::new(map, at, normal);
     let mut sum = |step: usize| along.read(-(step as f32)).map(|(_, voxel)| voxel.distance_sum);
-    let mut front = sum(OTHER);
-    (OTHER + 1..=BEHIND_FREE).any(|step| {
+    let mut front = sum(BEHIND_OWN);
+    (BEHIND_OWN + 1..=BEHIND_FREE).any(|step| {
         let next = sum(step);
         let is_surface = front.is_some_and(|sum| sum >= 0) && next.is_some_and(|sum| sum < 0);
         front = next;

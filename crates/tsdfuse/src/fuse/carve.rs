@@ -487,7 +487,7 @@ mod tests {
         let mut map = map_of(IVec3::new(45, -2, -4), IVec3::new(55, 2, 0), height_m);
         let before = map.clone();
         let elevations: Vec<f32> = (0..32).map(|ring| -6.0 + 0.18 * ring as f32).collect();
-        let sensor = SensorModel::from_beams("dense", elevations, 2048, (0.1, 100.0)).unwrap();
+        let sensor = SensorModel::from_beams("sparse", elevations, 2048, (0.1, 100.0)).unwrap();
         let beams = (0..32_u16).flat_map(|ring| (-16..16).map(move |column| (ring, column)));
         let ray = |(ring, column): (u16, i32)| {
             let (up, left) = (

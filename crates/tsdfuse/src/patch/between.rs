@@ -117,7 +117,7 @@ fn nth(dense: f32) -> usize {
     1 << (dense as u32).max(1).ilog2()
 }
 
-/// What is known between two neighbours.
+/// Two neighbours that are of one surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Link {
     kind: Kind,
@@ -335,10 +335,14 @@ mod tests {
     fn along_a_row_of_facades_openings_are_not_closed() {
         // 2 m beside the sensor; rays meet it at 8°.
         let facade = |x: f32| patch(Vec3::new(x, 2.0, 0.0), -Vec3::Y, Kind::Whole);
-        let is_linked = |far: f32, longest_m: f32| linked(&facade(14.0), &facade(far), longest_m, &LIMITS).is_some();
-        assert!(is_linked(14.9, MAX_GAP_ACROSS_M) && !is_linked(15.1, MAX_GAP_ACROSS_M));
-        // As rings.
-        assert!(is_linked(15.1, f32::INFINITY));
+        let of = |far: f32, longest_m: f32| {
+            let link = linked(&facade(14.0), &facade(far), longest_m, &LIMITS);
+            link.map(|link| link.kind)
+        };
+        assert_eq!(of(14.9, MAX_GAP_ACROSS_M), Some(Kind::Whole));
+        assert_eq!(of(15.1, MAX_GAP_ACROSS_M), None);
+        let as_rings = of(15.1, f32::INFINITY);
+        assert_eq!(as_rings, Some(Kind::Whole));
     }
 
     #[test]
