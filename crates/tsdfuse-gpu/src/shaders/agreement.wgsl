@@ -57,15 +57,19 @@ fn offset_of(center: vec3<f32>, normal: vec3<f32>) -> f32 {
     return 1000.0;
 }
 
-// Whether the map holds another surface a little behind a place, which faces the same way.
-fn is_free(center: vec3<f32>, normal: vec3<f32>) -> bool {
-    var front = read_along(center, normal, -f32(BEHIND_OWN));
-    for (var far = BEHIND_OWN + 1u; far <= BEHIND_FREE; far++) {
-        let next = read_along(center, normal, -f32(far));
-        if front.z * next.z == 1.0 && front.y >= 0.0 && next.y < 0.0 {
-            return true;
+// Whether the map holds another surface a little behind a place or in front of it, which faces the same way.
+fn is_contradicted(center: vec3<f32>, normal: vec3<f32>) -> bool {
+    for (var side = -1.0; side <= 1.0; side += 2.0) {
+        var last = read_along(center, normal, side * f32(OWN_STEPS));
+        for (var far = OWN_STEPS + 1u; far <= OTHER_STEPS; far++) {
+            let next = read_along(center, normal, side * f32(far));
+            let behind = select(next, last, side > 0.0);
+            let front = select(last, next, side > 0.0);
+            if behind.z * front.z == 1.0 && behind.y < 0.0 && front.y >= 0.0 {
+                return true;
+            }
+            last = next;
         }
-        front = next;
     }
     return false;
 }

@@ -15,9 +15,9 @@ fn fuse_return(i: u32, thread: u32) -> u32 {
         let ring = cell / frame.columns;
         let column = cell % frame.columns;
         if thread == 2u {
-            connect(cell, next_in_row(ring, column), MAX_GAP_ACROSS_M, FREE_IN_ROW);
+            connect(cell, next_in_row(ring, column), MAX_GAP_ACROSS_M, CONTRADICTED_IN_ROW);
         } else if column % nth(frame.step_m / (frame.column_rad * length(patches[cell].center))) == 0u {
-            connect(cell, next_in_column(ring, column), 1e30, FREE_IN_COLUMN);
+            connect(cell, next_in_column(ring, column), 1e30, CONTRADICTED_IN_COLUMN);
         }
     }
     return NO_RETURN;

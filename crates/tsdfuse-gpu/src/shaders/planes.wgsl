@@ -18,9 +18,9 @@ struct Patch {
 
 const TIMES: u32 = 0xffu;
 const WAITS: u32 = 0x100u;
-// The wide links to the next ring and to the next column pass through free space.
-const FREE_IN_COLUMN: u32 = 0x200u;
-const FREE_IN_ROW: u32 = 0x400u;
+// The map contradicts the wide links to the next ring and to the next column.
+const CONTRADICTED_IN_COLUMN: u32 = 0x200u;
+const CONTRADICTED_IN_ROW: u32 = 0x400u;
 
 // What is known about the surface at a patch: nothing, the end of a ray, a plane through half of the window, or through all of it.
 const NOWHERE: u32 = 0u;

@@ -36,8 +36,8 @@ fn turn_of(surface: Patch) -> u32 {
     return select(times | WAITS, times, is_due);
 }
 
-// Whether the link from a patch to that of another cell is wide and passes before surface that the map holds.
-fn is_free_link(a: Patch, near: u32, longest_m: f32) -> bool {
+// Whether the link from a patch to that of another cell is wide and contradicted by what the map holds.
+fn is_contradicted_link(a: Patch, near: u32, longest_m: f32) -> bool {
     if near == NONE {
         return false;
     }
@@ -50,7 +50,7 @@ fn is_free_link(a: Patch, near: u32, longest_m: f32) -> bool {
     for (var k = 1.0; k < steps; k += 1.0) {
         let surface = between(a, b, WHOLE, k / steps);
         let center = center_of_patch(surface);
-        if center.is_there && is_free(center.at, surface.normal) {
+        if center.is_there && is_contradicted(center.at, surface.normal) {
             return true;
         }
     }
@@ -65,8 +65,8 @@ fn find_turns(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         if surface.kind == WHOLE {
             let ring = cell / frame.columns;
             let column = cell % frame.columns;
-            turn |= select(0u, FREE_IN_COLUMN, is_free_link(surface, next_in_column(ring, column), 1e30));
-            turn |= select(0u, FREE_IN_ROW, is_free_link(surface, next_in_row(ring, column), MAX_GAP_ACROSS_M));
+            turn |= select(0u, CONTRADICTED_IN_COLUMN, is_contradicted_link(surface, next_in_column(ring, column), 1e30));
+            turn |= select(0u, CONTRADICTED_IN_ROW, is_contradicted_link(surface, next_in_row(ring, column), MAX_GAP_ACROSS_M));
         }
         patches[cell].turn = turn;
     }

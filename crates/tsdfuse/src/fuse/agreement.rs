@@ -21,11 +21,11 @@ pub const LOOK: usize = 4;
 /// Arms: below 2 m, 4 m, …, and all above.
 pub const ARMS: usize = 6;
 
-/// Up to this many voxels behind a place, surface is that of the place itself; …
-pub const BEHIND_OWN: usize = 2;
+/// Up to this many voxels behind or in front of a place, surface is that of the place itself; …
+pub const OWN_STEPS: usize = 2;
 
-/// … from there up to this many, as deep as windows lie in façades, it tells that the place is free.
-pub const BEHIND_FREE: usize = 6;
+/// … from there up to this many, as deep as windows lie in façades, it is another one.
+pub const OTHER_STEPS: usize = 6;
 
 /// Offsets are counted in bins, this many to a voxel.
 pub const BINS_PER_VOXEL: usize = 16;
@@ -208,16 +208,19 @@ fn offset(map: &VoxelMap, at: GridPoint, normal: Vec3) -> Option<f32> {
     None
 }
 
-/// Whether the map holds another surface a little behind a place, along a normal, that faces the same way: what was seen of it was seen through the place.
-pub(super) fn is_free(map: &VoxelMap, at: GridPoint, normal: Vec3) -> bool {
+/// Whether the map holds another surface a little behind a place or in front of it, along a normal, that faces the same way: what was seen
+/// of the one behind was seen through the place, and behind the one in front nothing is seen.
+pub(super) fn is_contradicted(map: &VoxelMap, at: GridPoint, normal: Vec3) -> bool {
     let mut along = Along::new(map, at, normal);
-    let mut sum = |step: usize| along.read(-(step as f32)).map(|(_, voxel)| voxel.distance_sum);
-    let mut front = sum(BEHIND_OWN);
-    (BEHIND_OWN + 1..=BEHIND_FREE).any(|step| {
-        let next = sum(step);
-        let is_surface = front.is_some_and(|sum| sum >= 0) && next.is_some_and(|sum| sum < 0);
-        front = next;
-        is_surface
+    [-1.0, 1.0].into_iter().any(|side| {
+        let mut sum = |step: usize| along.read(side * step as f32).map(|(_, voxel)| voxel.distance_sum);
+        let mut last = sum(OWN_STEPS);
+        (OWN_STEPS + 1..=OTHER_STEPS).any(|step| {
+            let next = sum(step);
+            let (behind, front) = if side > 0.0 { (last, next) } else { (next, last) };
+            last = next;
+            behind.is_some_and(|sum| sum < 0) && front.is_some_and(|sum| sum >= 0)
+        })
     })
 }
 
@@ -297,18 +300,28 @@ mod tests {
     }
 
     #[test]
-    fn before_a_pane_it_is_free_but_not_before_the_other_side_of_a_wall() {
-        let is_free = |height_m: fn(f32) -> f32, x: f32| {
+    fn surface_behind_or_in_front_contradicts_but_not_the_other_side_of_a_wall() {
+        let is_contradicted = |height_m: fn(f32) -> f32, x: f32| {
             let map = map_of(IVec3::new(4, -1, -1), IVec3::new(7, 1, 1), |place| height_m(place.x));
             let anchor = map.grid().anchor(DVec3::ZERO).unwrap();
-            is_free(&map, anchor.locate(Vec3::new(x, 0.0, 0.0)).unwrap(), -Vec3::X)
+            is_contradicted(&map, anchor.locate(Vec3::new(x, 0.0, 0.0)).unwrap(), -Vec3::X)
         };
         // Seen from smaller x.
         let pane = |x: f32| 2.02 - x;
-        assert!(is_free(pane, 1.87) && is_free(pane, 1.78));
-        assert!(!is_free(pane, 1.6) && !is_free(pane, 2.0) && !is_free(pane, 2.05));
+        for (x, expected) in [
+            (1.6, false),
+            (1.78, true),
+            (1.87, true),
+            (2.0, false),
+            (2.05, false),
+            (2.17, true),
+            (2.27, true),
+            (2.45, false),
+        ] {
+            assert_eq!(is_contradicted(pane, x), expected, "{x}");
+        }
         // 20 cm thick, seen from both sides.
         let wall = |x: f32| (x - 2.0).abs() - 0.1;
-        assert!(!is_free(wall, 1.9) && !is_free(wall, 1.95) && is_free(wall, 1.7));
+        assert!(!is_contradicted(wall, 1.9) && !is_contradicted(wall, 1.95) && is_contradicted(wall, 1.7));
     }
 }

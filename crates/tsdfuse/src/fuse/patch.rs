@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     FuseError, Integration, Integrator,
-    agreement::{Agreement, CROWD, SIGMAS, is_free, share},
+    agreement::{Agreement, CROWD, SIGMAS, is_contradicted, share},
     beams::Beams,
     carve::{Carver, Seen},
     centers::Centers,
@@ -191,12 +191,12 @@ impl Integrator for Patch {
         if looks {
             self.settled.find(map, anchor, crowd, agreement, &mut self.patches.all);
         }
-        let is_free = |patch: &patch::Patch| {
+        let is_contradicted = |patch: &patch::Patch| {
             let center = anchor.locate(patch.center).filter(|_| looks);
-            center.is_some_and(|center| is_free(map, center, patch.normal))
+            center.is_some_and(|center| is_contradicted(map, center, patch.normal))
         };
         self.patches
-            .link(image, column_rad, &limits, is_free)
+            .link(image, column_rad, &limits, is_contradicted)
             .ok_or(OutOfMemory::Limit {
                 limit_bytes: map.memory_limit(),
             })?;

@@ -1,8 +1,7 @@
 //! What a second implementation takes from this one, most of it of [`Patch`](super::Patch), so that whatever is tuned here is tuned there.
 
 pub use super::agreement::{
-    ARMS, BEHIND_FREE, BEHIND_OWN, BINS_PER_VOXEL, BLUR, HALVING, LEAST_OFFSETS, LOOK, OF_MEDIAN, SIGMAS,
-    SIGMAS_OF_RAYS,
+    ARMS, BINS_PER_VOXEL, BLUR, HALVING, LEAST_OFFSETS, LOOK, OF_MEDIAN, OTHER_STEPS, OWN_STEPS, SIGMAS, SIGMAS_OF_RAYS,
 };
 pub use super::carve::{BESIDE, BINS_PER_RAD, FORGOTTEN, INSIDE, LEFT, MARGIN, MIN_PASSED, TURNS, nearest_rings};
 pub use super::cylindrical::cylindrical_image;

@@ -55,15 +55,15 @@ pub(super) struct Between {
 }
 
 impl Between {
-    /// Appends them; `None` if there are too many of them, because voxels are very small. No wide link is made where a patch of it `is_free`: the map
-    /// holds surface behind it.
+    /// Appends them; `None` if there are too many of them, because voxels are very small. No wide link is made where a patch of it
+    /// `is_contradicted` by what the map holds.
     pub(super) fn append_to(
         &mut self,
         all: &mut Vec<Patch>,
         image: &ScanImage,
         column_rad: f32,
         limits: &Limits,
-        is_free: impl Fn(&Patch) -> bool + Sync,
+        is_contradicted: impl Fn(&Patch) -> bool + Sync,
     ) -> Option<()> {
         let count = all.len();
         self.parts.resize_with(count.div_ceil(PART), Vec::new);
@@ -98,7 +98,7 @@ impl Between {
                     if more.len() > room - between.len() {
                         return None;
                     }
-                    if link.is_wide && more.clone().any(|patch| is_free(&patch)) {
+                    if link.is_wide && more.clone().any(|patch| is_contradicted(&patch)) {
                         continue;
                     }
                     between.extend(more.map(|patch| Patch { turn, ..patch }));
@@ -287,9 +287,9 @@ mod tests {
             let mut image = ScanImage::new();
             image.update(&points, &[0, 1], &sensor);
             let mut all: Vec<Patch> = points.map(|p| patch(p, -Vec3::X, Kind::Whole)).to_vec();
-            let is_free = |patch: &Patch| window && (patch.center.z - 0.5 * up).abs() < 0.1;
+            let is_contradicted = |patch: &Patch| window && (patch.center.z - 0.5 * up).abs() < 0.1;
             Between::default()
-                .append_to(&mut all, &image, wide_rad, &LIMITS, is_free)
+                .append_to(&mut all, &image, wide_rad, &LIMITS, is_contradicted)
                 .unwrap();
             all.len() - points.len()
         };

@@ -129,15 +129,16 @@ impl Patches {
         }
     }
 
-    /// Appends those between returns; `None` if there are too many of them ([`Limits::most`]). Where a patch between two returns `is_free`, wide gaps stay.
+    /// Appends those between returns; `None` if there are too many of them ([`Limits::most`]). Where a patch between two returns
+    /// `is_contradicted`, wide gaps stay.
     pub(crate) fn link(
         &mut self,
         image: &ScanImage,
         column_rad: f32,
         limits: &Limits,
-        is_free: impl Fn(&Patch) -> bool + Sync,
+        is_contradicted: impl Fn(&Patch) -> bool + Sync,
     ) -> Option<()> {
-        (self.between).append_to(&mut self.all, image, column_rad, limits, is_free)
+        (self.between).append_to(&mut self.all, image, column_rad, limits, is_contradicted)
     }
 }
 
