@@ -34,7 +34,14 @@ impl Esdf {
     }
 
     /// Takes in what changed of a surface, or the whole surface of a map; how many chunks of 32³ voxels were computed anew.
-    fn update(&self, py: Python<'_>, surface: &Bound<'_, PyAny>) -> PyResult<usize> {
+    #[pyo3(signature = (surface, place=None, near=30.0))]
+    fn update(
+        &self,
+        py: Python<'_>,
+        surface: &Bound<'_, PyAny>,
+        place: Option<[f64; 3]>,
+        near: f64,
+    ) -> PyResult<usize> {
         let lock = || self.0.write().unwrap_or_else(PoisonError::into_inner);
         if let Ok(map) = surface.cast::<Map>() {
             let map = map.get();
@@ -52,7 +59,14 @@ impl Esdf {
             .cast::<Changes>()
             .map_err(|_| wrong("surface must be Changes or a Map"))?;
         let pieces = changes.get().pieces(py)?;
-        Ok(py.detach(|| lock().update(pieces.iter().map(OwnPiece::as_piece)).len()))
+        let pieces = pieces.iter().map(OwnPiece::as_piece);
+        Ok(py.detach(|| {
+            let chunks = match place {
+                Some(place) => lock().update_near(pieces, DVec3::from_array(place), near),
+                None => lock().update(pieces),
+            };
+            chunks.len()
+        }))
     }
 
     /// Distances, their gradients, and where they are known.

@@ -251,8 +251,14 @@ class Esdf:
     """
 
     def __new__(cls, voxel_size: float = 0.2, radius: float = 2.0) -> Esdf: ...
-    def update(self, surface: Changes | Map) -> int:
-        """Takes in what changed of a surface, or the whole surface of a map. Returns how many chunks of 32³ voxels were computed anew."""
+    def update(self, surface: Changes | Map, place: ArrayLike | None = None, near: float = 30.0) -> int:
+        """Takes in what changed of a surface, or the whole surface of a map. Returns how many chunks of 32³ voxels were computed anew.
+
+        :param surface: what changed, or a map.
+        :param place: (3,), world, metres. If given, only distances within ``near`` metres follow at once; chunks beyond are computed in turns,
+            each at every tenth call if it changed. A call without a place computes all that wait.
+        :param near: metres.
+        """
     def distance(self, points: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
         """Distances (N,), metres, their gradients (N, 3), and where they are known; elsewhere they are NaN."""
     def voxels(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:

@@ -56,6 +56,9 @@ pub(crate) struct Args {
     /// track), the map, the mesh of what changed, distances up to 2 m; beside these, which returns move.
     #[arg(long, conflicts_with_all = ["long_drive", "methods", "runs", "device"])]
     live: bool,
+    /// With --live: distances within so many metres of the sensor follow each scan, those beyond each tenth; inf: all follow each.
+    #[arg(long, value_name = "M", requires = "live", default_value_t = 30.0)]
+    near: f64,
     /// Measure the CPU, or a GPU: fusing, meshing, rendering and each kernel.
     #[arg(long, value_name = "cpu|gpu|gpu:NAME", default_value = "cpu")]
     device: Device,
@@ -117,6 +120,7 @@ fn live(args: &Args) -> Result<Outcome> {
         poses: args.log.poses_from(),
         settings: args.log.settings(None)?,
         esdf: EsdfConfig::default(),
+        near_m: args.near,
         command_line: command_line(),
     };
     args.log.set_threads()?;

@@ -63,7 +63,14 @@ pub struct Esdf {
     config: EsdfConfig,
     lattice: Lattice,
     chunks: Chunks,
+    /// Chunks whose distances are not up to date, sorted.
+    waiting: Vec<IVec3>,
+    /// Counts calls of [`Self::update_near`], up to [`TURNS`].
+    turn: i32,
 }
+
+/// So many calls of [`Esdf::update_near`] bring all distances up to date once.
+pub const TURNS: i32 = 10;
 
 impl Esdf {
     /// Distances of a map without surface so far.
@@ -76,6 +83,8 @@ impl Esdf {
             config,
             lattice,
             chunks: Chunks::default(),
+            waiting: Vec::new(),
+            turn: 0,
         })
     }
 
@@ -93,6 +102,32 @@ impl Esdf {
     /// [`Changes`](tsdfuse::mesh::Changes) or of a [`Surface`](tsdfuse::mesh::Surface). Returns the chunks whose distances were
     /// computed anew, sorted.
     pub fn update<'a>(&mut self, pieces: impl IntoIterator<Item = Piece<'a>>) -> Vec<IVec3> {
+        self.take_in(pieces);
+        self.compute(|_| true)
+    }
+
+    /// [`Self::update`] for a robot that needs what is near at once: chunks that begin farther than `near_m` from a place in the world are computed in
+    /// turns, each at every tenth call ([`TURNS`]) if it changed. Until then they keep the distances that they had. [`Self::update`], also without
+    /// pieces, computes all that wait.
+    pub fn update_near<'a>(
+        &mut self,
+        pieces: impl IntoIterator<Item = Piece<'a>>,
+        place: DVec3,
+        near_m: f64,
+    ) -> Vec<IVec3> {
+        self.take_in(pieces);
+        self.turn = (self.turn + 1) % TURNS;
+        let (turn, edge_m) = (self.turn, f64::from(CHUNK) * self.config.voxel_size_m);
+        self.compute(|index| {
+            let low = index.as_dvec3() * edge_m;
+            let nearest = place.clamp(low, low + edge_m);
+            let turns = [index.x, index.y, index.z].map(|at| at.rem_euclid(TURNS));
+            nearest.distance(place) <= near_m || (turns[0] + 3 * turns[1] + 9 * turns[2] + turn) % TURNS == 0
+        })
+    }
+
+    /// Changes sites; the chunks within the radius wait then.
+    fn take_in<'a>(&mut self, pieces: impl IntoIterator<Item = Piece<'a>>) {
         let lattice = self.lattice;
         let mut pieces: Vec<Piece<'a>> = pieces.into_iter().collect();
         pieces.sort_by_key(|piece| piece.block);
@@ -109,11 +144,19 @@ impl Esdf {
             chunks.change(&lattice, piece.block, sampler.sites(&lattice, piece))
         });
         let changes: Vec<Change> = changes.flatten_iter().collect();
-        let changed = self.chunks.put(changes);
-        let before = changed.iter().map(|&index| (index, self.chunks.take(index))).collect();
-        let distances = transform::run(&lattice, &self.chunks, before);
+        self.waiting.extend(self.chunks.put(changes));
+        self.waiting.sort_unstable_by_key(IVec3::to_array);
+        self.waiting.dedup();
+    }
+
+    /// Computes the distances of waiting chunks that are due; which these are, sorted.
+    fn compute(&mut self, is_due: impl Fn(IVec3) -> bool) -> Vec<IVec3> {
+        let (due, waiting) = self.waiting.iter().partition::<Vec<IVec3>, _>(|index| is_due(**index));
+        self.waiting = waiting;
+        let before = due.iter().map(|&index| (index, self.chunks.take(index))).collect();
+        let distances = transform::run(&self.lattice, &self.chunks, before);
         self.chunks.set(distances);
-        changed
+        due
     }
 
     /// The distance from the centre of a voxel to the nearest surface, metres; `None` beyond the radius.
@@ -176,7 +219,7 @@ impl Esdf {
 
     /// Bytes of distances and sites.
     pub fn memory_bytes(&self) -> usize {
-        self.chunks.memory_bytes()
+        self.chunks.memory_bytes() + size_of_val(self.waiting.as_slice())
     }
 }
 

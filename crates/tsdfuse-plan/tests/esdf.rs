@@ -7,6 +7,7 @@ use tsdfuse::fuse::{FuseConfig, Method};
 use tsdfuse::glam::{DVec3, IVec3, Vec3};
 use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, Surface, extract, triangle::closest_on};
 use tsdfuse::{MapConfig, Pose, Scan, VoxelMap};
+use tsdfuse_plan::esdf::{CHUNK, TURNS};
 use tsdfuse_plan::{Esdf, EsdfConfig};
 use tsdfuse_sim::{NoiseModel, Simulator, SimulatorConfig, path, scene};
 
@@ -153,6 +154,55 @@ fn distances_that_follow_a_map_are_those_of_its_end() {
         }
         assert!(farthest > 0 && esdf != Esdf::new(config).unwrap());
     }
+}
+
+#[test]
+fn what_is_near_follows_at_once_and_the_rest_in_turns() {
+    const NEAR_M: f64 = 2.0;
+    let map = map_of(&simulated("hall", 4));
+    let (mut surface, mut changes) = (Incremental::default(), Changes::default());
+    let blocks: Vec<_> = map
+        .regions()
+        .into_iter()
+        .flat_map(|region| map.blocks_of(region))
+        .collect();
+    surface.note(&blocks.iter().map(|(index, _)| *index).collect::<Vec<_>>());
+    surface.changes(&map, &mut changes);
+    let config = EsdfConfig::default();
+    let whole = esdf_of(&map, config);
+    let new = || {
+        let mut esdf = Esdf::new(config).unwrap();
+        let computed = esdf.update_near(changes.iter(), DVec3::ZERO, NEAR_M);
+        (esdf, computed)
+    };
+    let (mut esdf, mut computed) = new();
+    // Chunks are 6.4 m long.
+    let is_near = |index: &IVec3| {
+        let low = index.as_dvec3() * 6.4;
+        DVec3::ZERO.clamp(low, low + 6.4).length() <= NEAR_M
+    };
+    let (near, far): (Vec<IVec3>, Vec<IVec3>) = whole.chunks().into_iter().partition(is_near);
+    assert!(near.len() >= 4 && far.len() > 20, "{} {}", near.len(), far.len());
+    assert!(near.iter().all(|index| computed.contains(index)));
+    assert!(far.iter().filter(|index| computed.contains(index)).count() < far.len() / 4);
+    for voxel in near
+        .iter()
+        .flat_map(|&index| (0..CHUNK).map(move |i| index * CHUNK + IVec3::new(i, 7 * i % CHUNK, 3 * i % CHUNK)))
+    {
+        assert_eq!(esdf.distance_m(voxel), whole.distance_m(voxel));
+    }
+    assert!(esdf != whole);
+    // Each of the others once.
+    for _ in 1..TURNS {
+        let turn = esdf.update_near([], DVec3::ZERO, NEAR_M);
+        assert!(!turn.iter().any(|index| computed.contains(index)));
+        computed.extend(turn);
+    }
+    assert!(esdf == whole && esdf.memory_bytes() == whole.memory_bytes());
+    // Or all at once.
+    let (mut esdf, computed) = new();
+    let rest = esdf.update([]);
+    assert!(rest.len() > computed.len() && esdf == whole && esdf.update([]).is_empty());
 }
 
 #[test]

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde::Serialize;
+use tsdfuse::glam::DVec3;
 use tsdfuse_plan::{Esdf, EsdfConfig, Moving, MovingConfig};
 use tsdfuse_run::report::ScanReport;
 use tsdfuse_run::{
@@ -26,6 +27,8 @@ pub struct Live {
     pub settings: Settings,
     /// The distances.
     pub esdf: EsdfConfig,
+    /// Distances within so many metres of the sensor follow each sweep, those beyond each tenth ([`Esdf::update_near`]).
+    pub near_m: f64,
     /// The arguments of the program, for the results.
     pub command_line: Vec<String>,
 }
@@ -45,6 +48,8 @@ pub struct LiveResults {
     pub config: RunConfig,
     /// Voxels of the distances and how far they go, metres.
     pub distances_m: [f64; 2],
+    /// Distances within so many metres of the sensor followed each sweep; `None`: all.
+    pub near_m: Option<f64>,
     /// Whether poses were tracked.
     pub tracked: bool,
     /// Each sweep.
@@ -127,6 +132,9 @@ impl Sweep {
 struct Planner<'a, 'b> {
     watch: &'a mut Watch<'b>,
     esdf: Esdf,
+    near_m: f64,
+    /// Where the sensor was last.
+    place: DVec3,
     moving: Moving,
     sweeps: Vec<Sweep>,
     /// Seconds of telling what moves, of the sweep that is being fused.
@@ -141,6 +149,7 @@ impl Observer for Planner<'_, '_> {
         match event {
             Event::ScanRead { scan, .. } => {
                 self.processors.spent(|stages| &mut stages.track);
+                self.place = scan.pose.map_or(self.place, |pose| pose.translation);
                 let start = Instant::now();
                 if let Err(error) = self.moving.classify(scan) {
                     self.failed = Some(error.to_string());
@@ -165,7 +174,7 @@ impl Observer for Planner<'_, '_> {
             Event::SurfaceChanged(changes) => {
                 self.processors.spent(|stages| &mut stages.mesh);
                 let meshed = Instant::now();
-                let chunks = self.esdf.update(changes.iter()).len();
+                let chunks = self.esdf.update_near(changes.iter(), self.place, self.near_m).len();
                 if let Some(sweep) = self.sweeps.last_mut() {
                     sweep.mesh += (meshed - self.fused).as_secs_f64();
                     sweep.distances += meshed.elapsed().as_secs_f64();
@@ -200,6 +209,8 @@ impl Live {
         let mut planner = Planner {
             watch,
             esdf: Esdf::new(self.esdf).map_err(wrong)?,
+            near_m: self.near_m,
+            place: DVec3::ZERO,
             moving: Moving::new(MovingConfig::default()).map_err(wrong)?,
             sweeps: Vec::new(),
             moving_secs: 0.0,
@@ -269,6 +280,7 @@ impl Live {
             },
             config,
             distances_m: [self.esdf.voxel_size_m, self.esdf.radius_m],
+            near_m: Some(self.near_m).filter(|near_m| near_m.is_finite()),
             tracked,
             sweeps: planner.sweeps,
             seconds,
@@ -342,13 +354,15 @@ impl LiveResults {
         let late = sweeps.iter().filter(|sweep| sweep.in_all() > 0.1).count();
         let distances: f64 = sweeps.iter().map(|sweep| sweep.distances).sum();
         let [voxel, radius] = self.distances_m;
+        let near = self.near_m.map(|near_m| format!(", those beyond {near_m} m in turns"));
+        let near = near.unwrap_or_default();
         let cores = cpu.map(|cpu| {
             let cores = 10.0 * cpu.in_all() / sweeps.len() as f64;
             format!("at 10 sweeps/s, that is the work of {cores:.1} cores\n")
         });
         text + &format!(
             "\n{:.1} sweeps/s with all but the last row; {late} of {} took longer than 100 ms\n\
-             distances in voxels of {voxel} m up to {radius} m: {:.1} updates/s\n",
+             distances in voxels of {voxel} m up to {radius} m{near}: {:.1} updates/s\n",
             self.sweeps_per_sec(),
             sweeps.len(),
             sweeps.len() as f64 / distances,
@@ -379,6 +393,7 @@ mod tests {
                 voxel_size_m: 0.4,
                 radius_m: 1.2,
             },
+            near_m: 10.0,
             command_line: Vec::new(),
         };
         for (poses, row) in [(PosesFrom::Any, "placing"), (PosesFrom::Track, "pose")] {

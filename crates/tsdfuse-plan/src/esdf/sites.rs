@@ -90,7 +90,11 @@ impl Sampler {
         let spacing = SPACING * f64::from(lattice.steps) - 2.0;
         let squared = (spacing * spacing) as i32;
         let count = self.samples.len();
-        for triangle in piece.triangles {
+        let with_long_edges = match longest_m(piece) <= spacing_m {
+            true => &[],
+            false => piece.triangles,
+        };
+        for triangle in with_long_edges {
             let [a, b, c] =
                 triangle.map(|corner| self.samples[..count].get(corner as usize).copied().unwrap_or_default());
             let is_long = |a: IVec3, b: IVec3| {
@@ -125,6 +129,23 @@ impl Sampler {
     }
 }
 
+/// No edge of a triangle is longer, in metres. Infinite near the origin, where a piece's place does not tell the size of the map's voxels.
+#[inline(always)]
+fn longest_m(piece: &Piece<'_>) -> f64 {
+    // How large can voxels be, if a vertex lies between the centres of the block's first ones and those of the first beyond?
+    let vertex = piece.vertices.first().copied().unwrap_or_default().abs().to_array();
+    let voxels = piece.block.0.to_array().map(|block| match f64::from(block) * 8.0 {
+        begin if begin < 0.0 => -begin - 8.5,
+        begin => begin + 0.5,
+    });
+    let sizes = vertex.into_iter().zip(voxels).filter(|(_, voxels)| *voxels > 0.0);
+    let largest = sizes
+        .map(|(vertex, voxels)| vertex / voxels)
+        .fold(f64::INFINITY, f64::min);
+    // A triangle lies between eight centres; and a little for rounding.
+    1.0001 * 3_f64.sqrt() * largest
+}
+
 /// The nearest whole numbers. Of two that are as near, as voxel centres on borders of cells have them, the even one: a move by whole voxels, which are
 /// even numbers of steps, changes nothing. Added to this number, they are its lowest bits.
 #[inline(always)]
@@ -135,3 +156,50 @@ fn nearest(steps: DVec3) -> IVec3 {
 }
 
 const _: () = assert!(CELLS == 2, "the docs say half a voxel");
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tsdfuse::glam::{Vec3, Vec3Swizzles};
+    use tsdfuse::mesh::{Changes, Incremental};
+    use tsdfuse::{Integrator, MapConfig, Pose, Raycast, Scan, VoxelMap};
+
+    /// Slanted walls on all sides of the origin, meshed.
+    fn walls() -> Changes {
+        let mut map = VoxelMap::new(MapConfig::default()).unwrap();
+        let wall = |i: i32| (-40..40).map(move |k| Vec3::new(6.0 + 0.01 * k as f32, 0.03 * i as f32, 0.03 * k as f32));
+        let points: Vec<Vec3> = (-40..40).flat_map(wall).collect();
+        let turns = [
+            |p: Vec3| p,
+            |p: Vec3| -p,
+            |p: Vec3| p.yzx(),
+            |p: Vec3| -p.zxy(),
+            |p: Vec3| 0.1 * p,
+        ];
+        let scan = Scan {
+            points: turns.iter().flat_map(|turn| points.iter().copied().map(turn)).collect(),
+            pose: Some(Pose::IDENTITY),
+            ..Default::default()
+        };
+        let (mut surface, mut changes) = (Incremental::default(), Changes::default());
+        surface.note(&Raycast::default().integrate(&mut map, &scan).unwrap().updated_blocks);
+        surface.changes(&map, &mut changes);
+        changes
+    }
+
+    #[test]
+    fn no_edge_is_longer_than_a_pieces_place_tells() {
+        let (changes, mut told) = (walls(), 0);
+        for piece in changes.iter().filter(|piece| !piece.triangles.is_empty()) {
+            let corners = piece
+                .triangles
+                .iter()
+                .map(|triangle| triangle.map(|i| piece.vertices[i as usize]));
+            let edges = corners.flat_map(|[a, b, c]| [a.distance(b), b.distance(c), c.distance(a)]);
+            let longest = edges.fold(0.0, f64::max);
+            assert!(longest <= longest_m(&piece), "{:?}: {longest}", piece.block);
+            told += usize::from(longest_m(&piece) < 0.1);
+        }
+        assert!(told > changes.len() / 4, "{told} of {}", changes.len());
+    }
+}
