@@ -23,10 +23,9 @@ mod lattice;
 mod sites;
 mod transform;
 
+use chunks::Chunks;
 pub use chunks::{CHUNK, Chunk};
-use chunks::{Change, Chunks};
 use lattice::Lattice;
-use sites::Sampler;
 
 /// Options of an [`Esdf`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -128,23 +127,7 @@ impl Esdf {
 
     /// Changes sites; the chunks within the radius wait then.
     fn take_in<'a>(&mut self, pieces: impl IntoIterator<Item = Piece<'a>>) {
-        let lattice = self.lattice;
-        let mut pieces: Vec<Piece<'a>> = pieces.into_iter().collect();
-        pieces.sort_by_key(|piece| piece.block);
-        // Of several pieces of one block, the last.
-        pieces.dedup_by(|later, kept| {
-            let is_same = later.block == kept.block;
-            if is_same {
-                *kept = *later;
-            }
-            is_same
-        });
-        let chunks = &self.chunks;
-        let changes = pieces.par_iter().map_init(Sampler::default, |sampler, piece| {
-            chunks.change(&lattice, piece.block, sampler.sites(&lattice, piece))
-        });
-        let changes: Vec<Change> = changes.flatten_iter().collect();
-        self.waiting.extend(self.chunks.put(changes));
+        self.waiting.extend(self.chunks.take_in(&self.lattice, pieces));
         self.waiting.sort_unstable_by_key(IVec3::to_array);
         self.waiting.dedup();
     }

@@ -222,6 +222,18 @@ fn erased_surface_is_forgotten() {
         assert!(!esdf.update(erased).is_empty());
     }
     assert!(esdf == Esdf::new(config).unwrap());
+    // Of two pieces of a block, the last counts.
+    for cube in surface.cubes() {
+        let pieces: Vec<_> = surface.pieces(cube).unwrap().collect();
+        let erased = pieces.iter().map(|piece| tsdfuse::mesh::Piece {
+            vertices: &[],
+            normals: &[],
+            triangles: &[],
+            ..*piece
+        });
+        esdf.update(pieces.iter().copied().chain(erased));
+    }
+    assert!(esdf == Esdf::new(config).unwrap());
     assert_eq!((esdf.chunks().len(), esdf.memory_bytes()), (0, 0));
 }
 

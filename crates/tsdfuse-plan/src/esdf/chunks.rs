@@ -7,9 +7,10 @@ use rayon::prelude::*;
 use rustc_hash::FxBuildHasher;
 use tsdfuse::glam::{IVec2, IVec3};
 use tsdfuse::index::BlockIndex;
+use tsdfuse::mesh::Piece;
 
 use super::lattice::{CELLS, Lattice};
-use super::sites::Site;
+use super::sites::{Sampler, Site};
 
 /// Voxels along the edge of a chunk.
 pub const CHUNK: i32 = 32;
@@ -40,12 +41,13 @@ pub struct Chunk {
 
 impl Chunk {
     /// Takes sites out, each once, and puts others in.
-    fn exchange(&mut self, mut gone: Vec<LocalSite>, mut new: Vec<LocalSite>) {
+    fn exchange(&mut self, mut gone: Vec<LocalSite>, new: Vec<LocalSite>) {
         gone.sort_unstable();
-        new.sort_unstable();
         let mut gone = gone.into_iter().peekable();
         self.sites.retain(|site| gone.next_if_eq(site).is_none());
+        let kept = self.sites.len();
         self.sites.extend(new);
+        self.sites[kept..].sort_unstable();
         // Two sorted runs.
         self.sites.sort();
     }
@@ -70,11 +72,26 @@ impl Chunk {
 }
 
 /// The chunks that there are.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Chunks {
     chunks: HashMap<IVec3, Chunk, FxBuildHasher>,
-    /// The sites of each of the map's blocks, sorted.
-    blocks: HashMap<BlockIndex, Box<[Site]>, FxBuildHasher>,
+    blocks: Vec<Blocks>,
+}
+
+/// The sites of each of some of the map's blocks, sorted.
+type Blocks = HashMap<BlockIndex, Box<[Site]>, FxBuildHasher>;
+
+/// The map's blocks are shared out among so many tables, which change side by side.
+const SHARES: usize = 32;
+
+/// The table of a block: that of the blocks around it, too.
+fn share_of(BlockIndex(block): BlockIndex) -> usize {
+    let IVec3 { x, y, z } = block >> 3;
+    let mixed = x
+        .wrapping_mul(5)
+        .wrapping_add(y.wrapping_mul(11))
+        .wrapping_add(z.wrapping_mul(3));
+    mixed.rem_euclid(SHARES as i32) as usize
 }
 
 /// The chunk that holds a site, and the site within it.
@@ -93,25 +110,20 @@ fn localize(lattice: &Lattice, site: &Site) -> (IVec3, LocalSite) {
     (chunk, local)
 }
 
-/// What changed of the sites of a block.
-pub(super) struct Change {
-    block: BlockIndex,
-    sites: Box<[Site]>,
+/// What changed of the sites of some blocks.
+#[derive(Debug, Default)]
+struct Change {
     /// With their chunks.
     gone: Vec<(IVec3, LocalSite)>,
     /// With their chunks.
     new: Vec<(IVec3, LocalSite)>,
-    /// The first chunk that they reach, and the last.
-    reached: [IVec3; 2],
+    /// The first chunk that the sites of some blocks side by side reach, and the last.
+    reached: Vec<[IVec3; 2]>,
 }
 
 impl Change {
-    /// `None` if the sites are as before.
-    fn of(lattice: &Lattice, block: BlockIndex, before: &[Site], sites: &[Site]) -> Option<Self> {
-        if before == sites {
-            return None;
-        }
-        let (mut gone, mut new) = (Vec::new(), Vec::new());
+    /// Adds what changes if a block has these sites now. Both are sorted.
+    fn add(&mut self, lattice: &Lattice, before: &[Site], sites: &[Site]) {
         let (mut low, mut high) = (IVec3::MAX, IVec3::MIN);
         let mut local = |site: &Site| {
             let at = IVec3::new(site.x, site.y, site.z);
@@ -126,8 +138,8 @@ impl Change {
             (None, None) => None,
         } {
             match order {
-                Ordering::Less => gone.extend(left.next().map(&mut local)),
-                Ordering::Greater => new.extend(right.next().map(&mut local)),
+                Ordering::Less => self.gone.extend(left.next().map(&mut local)),
+                Ordering::Greater => self.new.extend(right.next().map(&mut local)),
                 Ordering::Equal => {
                     left.next();
                     right.next();
@@ -136,21 +148,28 @@ impl Change {
         }
         let reach = IVec2::splat(lattice.reach_cells()).extend(lattice.radius_steps);
         let edge = CHUNK * IVec2::splat(CELLS).extend(lattice.steps);
-        Some(Self {
-            block,
-            sites: sites.into(),
-            gone,
-            new,
-            reached: [(low - reach).div_euclid(edge), (high + reach).div_euclid(edge)],
-        })
+        let reached = [(low - reach).div_euclid(edge), (high + reach).div_euclid(edge)];
+        if self.reached.last() != Some(&reached) {
+            self.reached.push(reached);
+        }
     }
 
-    /// The chunks within the radius of what changed.
-    fn chunks(&self) -> impl Iterator<Item = IVec3> + use<> {
-        let [first, last] = self.reached;
-        (first.x..=last.x).flat_map(move |x| {
-            (first.y..=last.y).flat_map(move |y| (first.z..=last.z).map(move |z| IVec3::new(x, y, z)))
+    /// The chunks within the radius of what changed, some of them more than once.
+    fn chunks(&self) -> impl Iterator<Item = IVec3> {
+        self.reached.iter().flat_map(|&[first, last]| {
+            (first.x..=last.x).flat_map(move |x| {
+                (first.y..=last.y).flat_map(move |y| (first.z..=last.z).map(move |z| IVec3::new(x, y, z)))
+            })
         })
+    }
+}
+
+impl Default for Chunks {
+    fn default() -> Self {
+        Self {
+            chunks: HashMap::default(),
+            blocks: vec![Blocks::default(); SHARES],
+        }
     }
 }
 
@@ -164,36 +183,54 @@ impl Chunks {
         self.chunks.get(&index).map_or(&[], |chunk| &chunk.sites)
     }
 
-    /// What changes if a block has these sites now, which are sorted; `None`: nothing.
-    pub(super) fn change(&self, lattice: &Lattice, block: BlockIndex, sites: &[Site]) -> Option<Change> {
-        let before = self.blocks.get(&block).map_or(&[][..], |sites| sites);
-        Change::of(lattice, block, before, sites)
-    }
-
-    /// Changes sites, each block's once. Returns the chunks whose distances can be others now, sorted.
-    pub(super) fn put(&mut self, changes: Vec<Change>) -> Vec<IVec3> {
-        let mut changed: HashSet<IVec3, FxBuildHasher> = HashSet::default();
-        let mut by_chunk: HashMap<IVec3, [Vec<LocalSite>; 2], FxBuildHasher> = HashMap::default();
-        // Neighbouring blocks mostly reach the same ones.
-        let mut last = None;
-        for change in changes {
-            if last.replace(change.reached) != Some(change.reached) {
-                changed.extend(change.chunks());
-            }
-            for (sites, which) in [(&change.gone, 0), (&change.new, 1)] {
-                // Most of a block's sites lie in one chunk.
-                for of_one in sites.chunk_by(|(a, _), (b, _)| a == b) {
-                    if let Some((chunk, _)) = of_one.first() {
-                        let sites = of_one.iter().map(|(_, site)| *site);
-                        by_chunk.entry(*chunk).or_default()[which].extend(sites);
-                    }
+    /// Takes in pieces, each in place of what its block had before. Returns the chunks whose distances can be others now.
+    pub(super) fn take_in<'a>(
+        &mut self,
+        lattice: &Lattice,
+        pieces: impl IntoIterator<Item = Piece<'a>>,
+    ) -> HashSet<IVec3, FxBuildHasher> {
+        let mut shares: Vec<Vec<Piece<'a>>> = vec![Vec::new(); SHARES];
+        for piece in pieces {
+            shares[share_of(piece.block)].push(piece);
+        }
+        let tasks = self.blocks.par_iter_mut().zip(shares);
+        let changes = tasks.map_init(Sampler::default, |sampler, (blocks, mut pieces)| {
+            // Of several pieces of one block, the last.
+            pieces.sort_by_key(|piece| piece.block);
+            pieces.dedup_by(|later, kept| {
+                let is_same = later.block == kept.block;
+                if is_same {
+                    *kept = *later;
+                }
+                is_same
+            });
+            let mut change = Change::default();
+            for piece in pieces {
+                let sites = sampler.sites(lattice, &piece);
+                let before = blocks.get_mut(&piece.block);
+                let known = before.as_ref().map_or(&[][..], |before| before);
+                if known == sites {
+                    continue;
+                }
+                change.add(lattice, known, sites);
+                match before {
+                    _ if sites.is_empty() => drop(blocks.remove(&piece.block)),
+                    Some(before) => *before = sites.into(),
+                    None => drop(blocks.insert(piece.block, sites.into())),
                 }
             }
-            if change.sites.is_empty() {
-                self.blocks.remove(&change.block)
-            } else {
-                self.blocks.insert(change.block, change.sites)
-            };
+            change
+        });
+        let changes: Vec<Change> = changes.collect();
+        let mut by_chunk: HashMap<IVec3, [Vec<LocalSite>; 2], FxBuildHasher> = HashMap::default();
+        for change in &changes {
+            for (sites, which) in [(&change.gone, 0), (&change.new, 1)] {
+                // Mostly many that follow each other lie in one chunk.
+                for of_one in sites.chunk_by(|(a, _), (b, _)| a == b) {
+                    let sites = of_one.iter().map(|(_, site)| *site);
+                    by_chunk.entry(of_one[0].0).or_default()[which].extend(sites);
+                }
+            }
         }
         let taken = by_chunk.into_iter().map(|(index, exchanged)| {
             let chunk = self.chunks.remove(&index).unwrap_or_default();
@@ -206,9 +243,7 @@ impl Chunks {
         });
         let exchanged: Vec<(IVec3, Chunk)> = exchanged.collect();
         self.chunks.extend(exchanged);
-        let mut changed: Vec<IVec3> = changed.into_iter().collect();
-        changed.sort_unstable_by_key(IVec3::to_array);
-        changed
+        changes.iter().flat_map(Change::chunks).collect()
     }
 
     /// Takes the memory of a chunk's distances, which are about to be others.
@@ -250,6 +285,7 @@ impl Chunks {
             size_of_val(chunk.sites.as_slice()) + squared
         };
         let block = |sites: &[Site]| size_of::<(BlockIndex, Box<[Site]>)>() + size_of_val(sites);
-        self.chunks.values().map(chunk).sum::<usize>() + self.blocks.values().map(|sites| block(sites)).sum::<usize>()
+        let blocks = self.blocks.iter().flat_map(Blocks::values);
+        self.chunks.values().map(chunk).sum::<usize>() + blocks.map(|sites| block(sites)).sum::<usize>()
     }
 }
