@@ -43,7 +43,7 @@ mod _core {
     #[pymodule_export]
     use super::log::{Log, Scans};
     #[pymodule_export]
-    use super::map::{Changes, Fused, Map};
+    use super::map::{Changes, Fused, Map, Nearby};
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]

@@ -349,8 +349,9 @@ impl Map {
     }
 
     /// The pieces of the surface that changed since this was asked last.
-    fn changes(&self, py: Python<'_>) -> PyResult<Changes> {
-        let config = self.mesh_config(None)?;
+    #[pyo3(signature = (nearby=None))]
+    fn changes(&self, py: Python<'_>, nearby: Option<PyRef<'_, Nearby>>) -> PyResult<Changes> {
+        let (config, nearby) = (self.mesh_config(None)?, nearby.map(|nearby| nearby.get()));
         let changes = py.detach(|| {
             let content = self.read();
             let mut surface = self.surface.lock().unwrap_or_else(PoisonError::into_inner);
@@ -360,7 +361,10 @@ impl Map {
                 surface
             });
             let mut changes = tsdfuse::mesh::Changes::default();
-            surface.changes(&content.map, &mut changes);
+            match nearby {
+                Some(nearby) => surface.changes_near(&content.map, &nearby, &mut changes),
+                None => surface.changes(&content.map, &mut changes),
+            }
             Pieces::of(&changes)
         });
         Changes::of(py, changes)
@@ -725,6 +729,32 @@ impl Fused {
             self.returns,
             self.blocks.len()
         )
+    }
+}
+
+/// The space around a robot.
+#[pyclass(frozen, module = "tsdfuse")]
+pub(crate) struct Nearby(Mutex<tsdfuse::mesh::Nearby>);
+
+impl Nearby {
+    pub(crate) fn get(&self) -> tsdfuse::mesh::Nearby {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl Nearby {
+    #[new]
+    #[pyo3(signature = (radius=30.0))]
+    fn new(radius: f64) -> Self {
+        Self(Mutex::new(tsdfuse::mesh::Nearby::new(radius)))
+    }
+
+    /// The next turn, with the robot at a place.
+    fn move_to(&self, place: &Bound<'_, PyAny>) -> PyResult<()> {
+        let place = triple("place", place)?;
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).move_to(place);
+        Ok(())
     }
 }
 

@@ -13,7 +13,7 @@ use tsdfuse_plan::{EsdfConfig, GroundConfig, GroundGrid, MovingConfig, Occupancy
 
 use crate::arrays::{IntoRows, Rows};
 use crate::error::{OrRaise, wrong};
-use crate::map::{Changes, Map};
+use crate::map::{Changes, Map, Nearby};
 use crate::piece::OwnPiece;
 use crate::scan::Scan;
 
@@ -34,14 +34,8 @@ impl Esdf {
     }
 
     /// Takes in what changed of a surface, or the whole surface of a map; how many chunks of 32³ voxels were computed anew.
-    #[pyo3(signature = (surface, place=None, near=30.0))]
-    fn update(
-        &self,
-        py: Python<'_>,
-        surface: &Bound<'_, PyAny>,
-        place: Option<[f64; 3]>,
-        near: f64,
-    ) -> PyResult<usize> {
+    #[pyo3(signature = (surface, nearby=None))]
+    fn update(&self, py: Python<'_>, surface: &Bound<'_, PyAny>, nearby: Option<PyRef<'_, Nearby>>) -> PyResult<usize> {
         let lock = || self.0.write().unwrap_or_else(PoisonError::into_inner);
         if let Ok(map) = surface.cast::<Map>() {
             let map = map.get();
@@ -59,13 +53,10 @@ impl Esdf {
             .cast::<Changes>()
             .map_err(|_| wrong("surface must be Changes or a Map"))?;
         let pieces = changes.get().pieces(py)?;
-        let pieces = pieces.iter().map(OwnPiece::as_piece);
-        Ok(py.detach(|| {
-            let chunks = match place {
-                Some(place) => lock().update_near(pieces, DVec3::from_array(place), near),
-                None => lock().update(pieces),
-            };
-            chunks.len()
+        let (pieces, nearby) = (pieces.iter().map(OwnPiece::as_piece), nearby.map(|nearby| nearby.get()));
+        Ok(py.detach(|| match nearby {
+            Some(nearby) => lock().update_near(pieces, &nearby).len(),
+            None => lock().update(pieces).len(),
         }))
     }
 

@@ -32,19 +32,25 @@ def test_distances_follow_a_map() -> None:
     (voxels, distances), (array, lowest) = esdf.voxels(), esdf.dense()
     assert np.array_equal(array[tuple((voxels - lowest).T)], distances)
     assert np.count_nonzero(~np.isnan(array)) == len(distances)
-    # Far from the wall, it waits for its turn.
-    late = tsdfuse.Esdf(voxel_size=0.1, radius=1.0)
-    m = tsdfuse.Map(voxel_size=0.05, method="raycast")
-    m.fuse(wall())
-    changes = m.changes()
-    late.update(changes, place=np.array([0.0, 500.0, 0.0]), near=5)
-    assert len(late.voxels()[0]) < len(whole.voxels()[0])
-    for _ in range(9):
-        late.update(m.changes(), place=(0, 500, 0), near=5)
-    for a, b in zip(late.voxels(), whole.voxels(), strict=True):
-        assert np.array_equal(a, b)
     with pytest.raises(tsdfuse.ConfigError):
         tsdfuse.Esdf(voxel_size=0)
+
+
+def test_what_is_far_from_a_robot_is_told_in_turns() -> None:
+    m = tsdfuse.Map(voxel_size=0.05, method="raycast")
+    m.fuse(wall())
+    esdf, whole = tsdfuse.Esdf(voxel_size=0.1, radius=1.0), tsdfuse.Esdf(voxel_size=0.1, radius=1.0)
+    whole.update(m)
+    nearby = tsdfuse.Nearby(radius=5)
+    told = []
+    for _ in range(20):
+        nearby.move_to(np.array([0.0, 500.0, 0.0]))
+        changes = m.changes(nearby)
+        told.append(len(changes))
+        esdf.update(changes, nearby)
+    assert max(told[1:10]) > 0 and sum(told[10:]) == 0
+    for a, b in zip(esdf.voxels(), whole.voxels(), strict=True):
+        assert np.array_equal(a, b)
 
 
 def test_free_space_is_known() -> None:

@@ -243,6 +243,16 @@ class Changes:
     def __len__(self) -> int: ...
     def __iter__(self) -> Iterator[tuple[tuple[int, int, int], Mesh]]: ...
 
+class Nearby:
+    """The space around a robot: what changes there is wanted at once, what changes elsewhere at every tenth turn.
+
+    :param radius: how far it reaches, metres.
+    """
+
+    def __new__(cls, radius: float = 30.0) -> Nearby: ...
+    def move_to(self, place: ArrayLike) -> None:
+        """The next turn, with the robot at a place (3,), world, metres."""
+
 class Esdf:
     """Euclidean distances to the nearest surface, up to a radius. They follow a map that changes; they are not signed.
 
@@ -251,13 +261,12 @@ class Esdf:
     """
 
     def __new__(cls, voxel_size: float = 0.2, radius: float = 2.0) -> Esdf: ...
-    def update(self, surface: Changes | Map, place: ArrayLike | None = None, near: float = 30.0) -> int:
+    def update(self, surface: Changes | Map, nearby: Nearby | None = None) -> int:
         """Takes in what changed of a surface, or the whole surface of a map. Returns how many chunks of 32³ voxels were computed anew.
 
         :param surface: what changed, or a map.
-        :param place: (3,), world, metres. If given, only distances within ``near`` metres follow at once; chunks beyond are computed in turns,
-            each at every tenth call if it changed. A call without a place computes all that wait.
-        :param near: metres.
+        :param nearby: if given, only distances near a robot follow what changed at once, the rest in turns. A call without it computes all
+            that wait.
         """
     def distance(self, points: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
         """Distances (N,), metres, their gradients (N, 3), and where they are known; elsewhere they are NaN."""
@@ -381,8 +390,12 @@ class Map:
         """The surface, by marching cubes."""
     def write_mesh(self, path: _Path, *, min_weight: float | None = None) -> dict[str, Any]:
         """Writes the surface: ``.ply``, ``.glb``, ``.obj``, or ``NAME/tileset.json`` for 3D Tiles."""
-    def changes(self) -> Changes:
-        """The pieces of the surface that changed since this was asked last; all of it the first time."""
+    def changes(self, nearby: Nearby | None = None) -> Changes:
+        """The pieces of the surface that changed since this was asked last; all of it the first time.
+
+        :param nearby: if given, only what changed near a robot is told at once, the rest in turns, by regions of 64³ voxels. A call
+            without it tells all that is left.
+        """
     def forget_changes(self) -> None:
         """Frees what is kept for :meth:`changes`."""
     def distance(self, points: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:

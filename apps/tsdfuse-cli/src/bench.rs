@@ -56,7 +56,8 @@ pub(crate) struct Args {
     /// track), the map, the mesh of what changed, distances up to 2 m; beside these, which returns move.
     #[arg(long, conflicts_with_all = ["long_drive", "methods", "runs", "device"])]
     live: bool,
-    /// With --live: distances within so many metres of the sensor follow each scan, those beyond each tenth; inf: all follow each.
+    /// With --live: what changes within so many metres of the sensor is told after each scan, what changes beyond in ten turns; inf: all after
+    /// each.
     #[arg(long, value_name = "M", requires = "live", default_value_t = 30.0)]
     near: f64,
     /// Measure the CPU, or a GPU: fusing, meshing, rendering and each kernel.

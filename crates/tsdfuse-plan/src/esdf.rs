@@ -13,7 +13,7 @@
 use rayon::prelude::*;
 use tsdfuse::glam::{DVec3, IVec3, Vec3};
 use tsdfuse::index::Grid;
-use tsdfuse::mesh::Piece;
+use tsdfuse::mesh::{Nearby, Piece};
 
 use crate::dense::Dense;
 use crate::error::PlanError;
@@ -64,12 +64,7 @@ pub struct Esdf {
     chunks: Chunks,
     /// Chunks whose distances are not up to date, sorted.
     waiting: Vec<IVec3>,
-    /// Counts calls of [`Self::update_near`], up to [`TURNS`].
-    turn: i32,
 }
-
-/// So many calls of [`Esdf::update_near`] bring all distances up to date once.
-pub const TURNS: i32 = 10;
 
 impl Esdf {
     /// Distances of a map without surface so far.
@@ -83,7 +78,6 @@ impl Esdf {
             lattice,
             chunks: Chunks::default(),
             waiting: Vec::new(),
-            turn: 0,
         })
     }
 
@@ -105,24 +99,12 @@ impl Esdf {
         self.compute(|_| true)
     }
 
-    /// [`Self::update`] for a robot that needs what is near at once: chunks that begin farther than `near_m` from a place in the world are computed in
-    /// turns, each at every tenth call ([`TURNS`]) if it changed. Until then they keep the distances that they had. [`Self::update`], also without
-    /// pieces, computes all that wait.
-    pub fn update_near<'a>(
-        &mut self,
-        pieces: impl IntoIterator<Item = Piece<'a>>,
-        place: DVec3,
-        near_m: f64,
-    ) -> Vec<IVec3> {
+    /// [`Self::update`] for a robot: chunks that are not near are computed in turns, if they changed. Until then they keep the distances that they
+    /// had. [`Self::update`], also without pieces, computes all that wait.
+    pub fn update_near<'a>(&mut self, pieces: impl IntoIterator<Item = Piece<'a>>, nearby: &Nearby) -> Vec<IVec3> {
         self.take_in(pieces);
-        self.turn = (self.turn + 1) % TURNS;
-        let (turn, edge_m) = (self.turn, f64::from(CHUNK) * self.config.voxel_size_m);
-        self.compute(|index| {
-            let low = index.as_dvec3() * edge_m;
-            let nearest = place.clamp(low, low + edge_m);
-            let turns = [index.x, index.y, index.z].map(|at| at.rem_euclid(TURNS));
-            nearest.distance(place) <= near_m || (turns[0] + 3 * turns[1] + 9 * turns[2] + turn) % TURNS == 0
-        })
+        let edge_m = f64::from(CHUNK) * self.config.voxel_size_m;
+        self.compute(|index| nearby.is_due(index, edge_m))
     }
 
     /// Changes sites; the chunks within the radius wait then.

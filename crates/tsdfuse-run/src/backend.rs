@@ -4,7 +4,7 @@ use std::path::Path;
 
 use tsdfuse::fuse::{FuseError, Skipped};
 use tsdfuse::index::BlockIndex;
-use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
+use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, Nearby};
 use tsdfuse::{Integration, Integrator, Pose, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_view::Scene;
@@ -90,8 +90,8 @@ pub(crate) trait Backend: Send {
     fn finish(&mut self) -> Result<Vec<BlockIndex>>;
 
     /// Pieces of the surface that changed since this was asked last, or since the map was empty, where these blocks were
-    /// updated.
-    fn follow(&mut self, updated: &[BlockIndex], changes: &mut Changes) -> Result<()>;
+    /// updated. What is not near may be told later.
+    fn follow(&mut self, updated: &[BlockIndex], nearby: Option<&Nearby>, changes: &mut Changes) -> Result<()>;
 
     /// The whole surface, once all scans are in the map.
     fn mesh(&mut self, config: &MeshConfig) -> Result<Mesh>;
@@ -171,6 +171,7 @@ pub(crate) fn follow(
     config: &MeshConfig,
     map: &VoxelMap,
     updated: &[BlockIndex],
+    nearby: Option<&Nearby>,
     changes: &mut Changes,
 ) {
     let surface = surface.get_or_insert_with(|| {
@@ -179,5 +180,8 @@ pub(crate) fn follow(
         surface
     });
     surface.note(updated);
-    surface.changes(map, changes);
+    match nearby {
+        Some(nearby) => surface.changes_near(map, nearby, changes),
+        None => surface.changes(map, changes),
+    }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use tsdfuse::fuse::FuseError;
 use tsdfuse::index::BlockIndex;
-use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
+use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, Nearby};
 use tsdfuse::render::RenderConfig;
 use tsdfuse::{Scan, SensorModel, VoxelMap};
 use tsdfuse_gpu::{DeviceMap, Fused, Fuser, Gpu, GpuError, Mesher, PoolConfig, Renderer};
@@ -131,7 +131,7 @@ impl Backend for OnGpu {
         Ok(Vec::new()) // no method that collects scans runs here
     }
 
-    fn follow(&mut self, updated: &[BlockIndex], changes: &mut Changes) -> Result<()> {
+    fn follow(&mut self, updated: &[BlockIndex], nearby: Option<&Nearby>, changes: &mut Changes) -> Result<()> {
         let host = match &mut self.host {
             Some(host) => {
                 for (index, block) in self.fuser.map().download_blocks(updated)? {
@@ -141,7 +141,7 @@ impl Backend for OnGpu {
             }
             none => none.insert(self.fuser.map().download()?),
         };
-        follow(&mut self.surface, &self.config, host, updated, changes);
+        follow(&mut self.surface, &self.config, host, updated, nearby, changes);
         Ok(())
     }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use tsdfuse::index::BlockIndex;
-use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, extract_with};
+use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, Nearby, extract_with};
 use tsdfuse::{Scan, VoxelMap};
 use tsdfuse_io::map_file::{self, FusedPose};
 use tsdfuse_view::Scene;
@@ -74,8 +74,8 @@ impl Backend for InMemory {
         Ok(updated)
     }
 
-    fn follow(&mut self, updated: &[BlockIndex], changes: &mut Changes) -> Result<()> {
-        follow(&mut self.surface, &self.config, &self.map, updated, changes);
+    fn follow(&mut self, updated: &[BlockIndex], nearby: Option<&Nearby>, changes: &mut Changes) -> Result<()> {
+        follow(&mut self.surface, &self.config, &self.map, updated, nearby, changes);
         self.is_current = true;
         Ok(())
     }

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use tsdfuse::glam::IVec3;
 use tsdfuse::index::BlockIndex;
-use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig};
+use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, Nearby};
 use tsdfuse::{Pose, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::{FusedPose, Reader};
 use tsdfuse_store::{PagedError, PagedMap, StoreError};
@@ -128,7 +128,7 @@ impl Backend for Paged {
         Ok(Vec::new()) // methods that collect scans are refused
     }
 
-    fn follow(&mut self, updated: &[BlockIndex], changes: &mut Changes) -> Result<()> {
+    fn follow(&mut self, updated: &[BlockIndex], _: Option<&Nearby>, changes: &mut Changes) -> Result<()> {
         // What surrounds an updated block is within the scan's reach, so it is still in memory.
         let map = self.map.map_in_memory();
         let mut near: Vec<BlockIndex> = updated.iter().flat_map(|&block| around(block, 2)).collect();

@@ -212,6 +212,7 @@ impl Job {
             intensity: self.outputs.intensity,
             labels: self.outputs.labels.clone(),
             follow_every: None,
+            follow_near_m: None,
         })
     }
 }

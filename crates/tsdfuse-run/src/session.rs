@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use tsdfuse::index::BlockIndex;
-use tsdfuse::mesh::{Changes, Mesh};
+use tsdfuse::mesh::{Changes, Mesh, Nearby};
 use tsdfuse::{Pose, Scan, SensorModel, VoxelMap};
 use tsdfuse_io::map_file::FusedPose;
 use tsdfuse_io::{Log, ReadAhead, ReadScan, Selection};
@@ -113,6 +113,8 @@ pub struct Session {
     changes: Changes,
     /// Blocks that were updated since changes were told.
     unfollowed: Vec<BlockIndex>,
+    /// Around the sensor, if what is near is told first.
+    nearby: Option<Nearby>,
     /// Beyond this length, blocks that are in it several times are removed.
     most_unfollowed: usize,
     /// Seconds that telling changes took.
@@ -288,6 +290,7 @@ impl Session {
             }
             None => log.read_ahead(&setup.selection),
         };
+        let nearby = setup.follow_near_m.map(Nearby::new);
         Ok(Self {
             setup,
             name: match &checkpoint.job {
@@ -315,6 +318,7 @@ impl Session {
             loaded: None,
             changes: Changes::default(),
             unfollowed: Vec::new(),
+            nearby,
             most_unfollowed: MOST_UNFOLLOWED,
             following_secs: 0.0,
             last_following_secs: 0.0,
@@ -599,6 +603,7 @@ impl Session {
         self.unfollowed.extend(updated);
         self.seconds = self.begun.elapsed().as_secs_f64();
         if self.setup.follow_every.is_some() || observer.surface_share().is_some() {
+            self.nearby = None;
             self.tell_changes(observer)?;
             if self.is_again() {
                 observer.on(Event::SurfaceChanged(&Changes::gone(std::mem::take(&mut self.shown))));
@@ -852,7 +857,10 @@ impl Session {
     fn tell_changes(&mut self, observer: &mut dyn Observer) -> Result<()> {
         let start = Instant::now();
         let updated = std::mem::take(&mut self.unfollowed);
-        self.backend.follow(&updated, &mut self.changes)?;
+        if let (Some(nearby), Some(pose)) = (&mut self.nearby, self.poses.last()) {
+            nearby.move_to(pose.pose.translation);
+        }
+        self.backend.follow(&updated, self.nearby.as_ref(), &mut self.changes)?;
         for piece in self.changes.iter() {
             if self.loops.is_some() && !piece.triangles.is_empty() {
                 self.shown.insert(piece.block);

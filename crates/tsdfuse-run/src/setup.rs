@@ -59,6 +59,9 @@ pub struct Setup {
     pub labels: Option<PathBuf>,
     /// Scans from one [`Event::SurfaceChanged`](crate::Event::SurfaceChanged) to the next; `None`: nobody wants to know.
     pub follow_every: Option<usize>,
+    /// Of what changed farther than this from the sensor, in metres, each event tells a tenth, the last one all; `None`: each tells all, as with
+    /// limited memory.
+    pub follow_near_m: Option<f64>,
 }
 
 impl Default for Setup {
@@ -79,6 +82,7 @@ impl Default for Setup {
             intensity: false,
             labels: None,
             follow_every: None,
+            follow_near_m: None,
         }
     }
 }

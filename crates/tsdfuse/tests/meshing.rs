@@ -10,7 +10,7 @@ use tsdfuse::{
     Integrator, MapConfig, Raycast, Scan, VoxelMap,
     glam::{DVec3, Vec3},
     index::BlockIndex,
-    mesh::{Changes, Incremental, Mesh, MeshConfig, extract_with},
+    mesh::{Changes, Incremental, Mesh, MeshConfig, Nearby, extract_with},
 };
 
 /// Position and normal of the three corners of a triangle, bit for bit.
@@ -143,6 +143,36 @@ fn a_neighbours_update_that_is_not_taken_up_is_seen() {
     // Where scans update all of the surface, no neighbour is left.
     let wrong = cases().map(|case| follow(&case, false).1);
     assert!(wrong.iter().filter(|&&wrong| wrong > 0).count() > 1, "{wrong:?}");
+}
+
+#[test]
+fn what_is_near_is_told_at_once_and_the_rest_in_turns() {
+    let mut late = [0; 2];
+    for case in &cases() {
+        let config = MeshConfig {
+            min_weight: case.min_weight,
+        };
+        for (place, late) in [DVec3::ZERO, DVec3::new(0.0, 0.0, 500.0)].into_iter().zip(&mut late) {
+            let mut map = VoxelMap::new(case.map).unwrap();
+            let (mut raycast, mut surface) = (Raycast::default(), Incremental::new(&config));
+            let (mut viewer, mut changes, mut nearby) = (Viewer::default(), Changes::default(), Nearby::new(50.0));
+            let mut tell = |surface: &mut Incremental, map: &VoxelMap| {
+                nearby.move_to(place);
+                surface.changes_near(map, &nearby, &mut changes);
+                viewer.hear(&changes, |_| true);
+                viewer.shows(&extract_with(map, &config).unwrap())
+            };
+            for scan in &case.scans {
+                surface.note(&raycast.integrate(&mut map, scan).unwrap().updated_blocks);
+                *late += usize::from(!tell(&mut surface, &map));
+            }
+            let shows = (0..10).map(|_| tell(&mut surface, &map)).last();
+            assert_eq!(shows, Some(true));
+            surface.changes(&map, &mut changes);
+            assert!(changes.is_empty());
+        }
+    }
+    assert!(late[0] == 0 && late[1] > 20, "{late:?}");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde::Serialize;
-use tsdfuse::glam::DVec3;
+use tsdfuse::mesh::Nearby;
 use tsdfuse_plan::{Esdf, EsdfConfig, Moving, MovingConfig};
 use tsdfuse_run::report::ScanReport;
 use tsdfuse_run::{
@@ -27,7 +27,7 @@ pub struct Live {
     pub settings: Settings,
     /// The distances.
     pub esdf: EsdfConfig,
-    /// Distances within so many metres of the sensor follow each sweep, those beyond each tenth ([`Esdf::update_near`]).
+    /// What changes within so many metres of the sensor is told after each sweep, what changes beyond in ten turns ([`Nearby`]).
     pub near_m: f64,
     /// The arguments of the program, for the results.
     pub command_line: Vec<String>,
@@ -48,7 +48,7 @@ pub struct LiveResults {
     pub config: RunConfig,
     /// Voxels of the distances and how far they go, metres.
     pub distances_m: [f64; 2],
-    /// Distances within so many metres of the sensor followed each sweep; `None`: all.
+    /// What changed within so many metres of the sensor was told after each sweep; `None`: all.
     pub near_m: Option<f64>,
     /// Whether poses were tracked.
     pub tracked: bool,
@@ -132,9 +132,7 @@ impl Sweep {
 struct Planner<'a, 'b> {
     watch: &'a mut Watch<'b>,
     esdf: Esdf,
-    near_m: f64,
-    /// Where the sensor was last.
-    place: DVec3,
+    nearby: Nearby,
     moving: Moving,
     sweeps: Vec<Sweep>,
     /// Seconds of telling what moves, of the sweep that is being fused.
@@ -149,7 +147,9 @@ impl Observer for Planner<'_, '_> {
         match event {
             Event::ScanRead { scan, .. } => {
                 self.processors.spent(|stages| &mut stages.track);
-                self.place = scan.pose.map_or(self.place, |pose| pose.translation);
+                if let Some(pose) = scan.pose {
+                    self.nearby.move_to(pose.translation);
+                }
                 let start = Instant::now();
                 if let Err(error) = self.moving.classify(scan) {
                     self.failed = Some(error.to_string());
@@ -174,7 +174,7 @@ impl Observer for Planner<'_, '_> {
             Event::SurfaceChanged(changes) => {
                 self.processors.spent(|stages| &mut stages.mesh);
                 let meshed = Instant::now();
-                let chunks = self.esdf.update_near(changes.iter(), self.place, self.near_m).len();
+                let chunks = self.esdf.update_near(changes.iter(), &self.nearby).len();
                 if let Some(sweep) = self.sweeps.last_mut() {
                     sweep.mesh += (meshed - self.fused).as_secs_f64();
                     sweep.distances += meshed.elapsed().as_secs_f64();
@@ -209,8 +209,7 @@ impl Live {
         let mut planner = Planner {
             watch,
             esdf: Esdf::new(self.esdf).map_err(wrong)?,
-            near_m: self.near_m,
-            place: DVec3::ZERO,
+            nearby: Nearby::new(self.near_m),
             moving: Moving::new(MovingConfig::default()).map_err(wrong)?,
             sweeps: Vec::new(),
             moving_secs: 0.0,
@@ -241,6 +240,7 @@ impl Live {
             selection: input.selection.clone(),
             skip_bad: input.skip_bad,
             follow_every: Some(1),
+            follow_near_m: Some(self.near_m),
             ..Setup::default()
         };
         let mut session = Session::begin(&log, setup, &mut planner)?;
@@ -354,7 +354,9 @@ impl LiveResults {
         let late = sweeps.iter().filter(|sweep| sweep.in_all() > 0.1).count();
         let distances: f64 = sweeps.iter().map(|sweep| sweep.distances).sum();
         let [voxel, radius] = self.distances_m;
-        let near = self.near_m.map(|near_m| format!(", those beyond {near_m} m in turns"));
+        let near = self
+            .near_m
+            .map(|near_m| format!("what changed beyond {near_m} m is told in ten turns\n"));
         let near = near.unwrap_or_default();
         let cores = cpu.map(|cpu| {
             let cores = 10.0 * cpu.in_all() / sweeps.len() as f64;
@@ -362,7 +364,7 @@ impl LiveResults {
         });
         text + &format!(
             "\n{:.1} sweeps/s with all but the last row; {late} of {} took longer than 100 ms\n\
-             distances in voxels of {voxel} m up to {radius} m{near}: {:.1} updates/s\n",
+             distances in voxels of {voxel} m up to {radius} m: {:.1} updates/s\n{near}",
             self.sweeps_per_sec(),
             sweeps.len(),
             sweeps.len() as f64 / distances,

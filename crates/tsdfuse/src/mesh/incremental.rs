@@ -18,12 +18,13 @@ use super::{
     extract::{BLOCKS_PER_TASK, extract_from},
     mesher::{Mesher, Source},
     near::{CORNERS, Finder, PerBlock},
+    nearby::Nearby,
     neighbourhood::Cells,
     signs::Signs,
     updated::{Blocks, Candidate, candidates, existing, insert},
 };
 use crate::{
-    index::{BlockIndex, SHARDS, shard_of_region},
+    index::{BlockIndex, REGION_SHIFT, SHARDS, shard_of_region},
     map::{Block, VoxelMap},
     memory::prefetch,
 };
@@ -94,7 +95,22 @@ impl Incremental {
     /// The map must be the one whose updates were noted. Reusing the same [`Changes`] avoids allocations.
     pub fn changes(&mut self, map: &VoxelMap, changes: &mut Changes) {
         self.read(map);
-        let candidates = candidates(map, &std::mem::take(&mut self.untold));
+        let updated = std::mem::take(&mut self.untold);
+        self.tell(map, &updated, changes);
+    }
+
+    /// [`Self::changes`] for a robot: what changed far away is told in turns, by regions of 64³ voxels. [`Self::changes`] tells all that is left.
+    pub fn changes_near(&mut self, map: &VoxelMap, nearby: &Nearby, changes: &mut Changes) {
+        self.read(map);
+        let edge_m = map.config().voxel_size_m * f64::from(1 << REGION_SHIFT);
+        let due = self.untold.extract_if(|region, _| nearby.is_due(*region, edge_m));
+        let due: Blocks = due.collect();
+        self.tell(map, &due, changes);
+    }
+
+    /// Replaces the contents of `changes` by the pieces that these updates may have changed.
+    fn tell(&mut self, map: &VoxelMap, updated: &Blocks, changes: &mut Changes) {
+        let candidates = candidates(map, updated);
         let this = &*self;
         changes
             .chunks

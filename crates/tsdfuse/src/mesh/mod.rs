@@ -7,6 +7,7 @@ mod extract;
 mod incremental;
 mod mesher;
 pub(crate) mod near;
+mod nearby;
 pub(crate) mod neighbourhood;
 #[cfg(test)]
 mod oracle;
@@ -23,6 +24,7 @@ pub use changes::{Changes, Piece};
 pub use cube::triangles as cube_triangles;
 pub use extract::{extract, extract_with};
 pub use incremental::Incremental;
+pub use nearby::Nearby;
 pub use surface::{CUBE_VOXELS, RegionSource, Surface, is_on_plane};
 pub use weld::{MeshSink, Weld, stitch};
 
