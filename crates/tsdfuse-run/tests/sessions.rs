@@ -154,31 +154,36 @@ fn memory_pages_stores_and_streams_give_one_map() {
 }
 
 #[test]
-fn pieces_add_up_to_the_surface_in_memory_and_paged() {
+fn pieces_add_up_to_the_surface_in_memory_and_paged_and_in_turns() {
     let dir = tempfile::tempdir().unwrap();
     let log = Wall::new(12).log();
-    let pieces = |memory_bytes| {
+    let pieces = |memory_bytes, follow_near_m| {
         let setup = Setup {
             memory_bytes,
+            follow_near_m,
             temporary: dir.path().to_owned(),
             follow_every: Some(1),
             ..setup(&log)
         };
-        let mut pieces = std::collections::BTreeMap::new();
+        let (mut pieces, mut told) = (std::collections::BTreeMap::new(), 0);
         let mut session = Session::begin(&log, setup, &mut Silent).unwrap();
         let mut watch = |event: Event<'_>| {
             if let Event::SurfaceChanged(changes) = event {
                 pieces.extend(changes.iter().map(|piece| (piece.block, piece.triangles.len())));
+                told += changes.len();
             }
         };
         session.run(&mut watch).unwrap();
         pieces.retain(|_, triangles| *triangles > 0);
-        pieces
+        (pieces, told)
     };
     let whole = extract(&fused(&log, setup(&log))).unwrap();
-    let in_memory = pieces(None);
+    let (in_memory, told) = pieces(None, None);
     assert_eq!(in_memory.values().sum::<usize>(), whole.triangles.len());
-    assert_eq!(pieces(Some(1 << 20)), in_memory);
+    assert_eq!(pieces(Some(1 << 20), None).0, in_memory);
+    let (in_turns, told_in_turns) = pieces(None, Some(0.5));
+    assert_eq!(in_turns, in_memory);
+    assert!(told_in_turns < told * 3 / 4, "{told_in_turns} {told}");
 }
 
 #[test]

@@ -291,13 +291,13 @@ impl Lines {
                     };
                     for Run { lines, numbers, .. } in runs {
                         dispatch!(*level, simd => for (k, &number) in numbers.iter().enumerate() {
-                                                   if let Some(&later) = numbers.get(k + AHEAD) {
-                                                       let later = &lines[later as usize];
-                        prefetch(&later.center);
-                        prefetch(&later.weight);
-                                                   }
-                                                   update(simd, &lines[number as usize], rule, region, &mut writer);
-                                               });
+                            if let Some(&later) = numbers.get(k + AHEAD) {
+                                let later = &lines[later as usize];
+                                prefetch(&later.center);
+                                prefetch(&later.weight);
+                            }
+                            update(simd, &lines[number as usize], rule, region, &mut writer);
+                        });
                     }
                     writer.ask();
                     writer.write();
