@@ -7,7 +7,18 @@ const TURNS: i32 = 10;
 
 /// The space around a robot: what changes there is wanted at once, what changes elsewhere at every tenth turn.
 ///
-/// One turn is one scan, or one call of [`Incremental::changes_near`](super::Incremental::changes_near).
+/// ```
+/// use tsdfuse::mesh::Nearby;
+/// use tsdfuse::glam::{DVec3, IVec3};
+/// let mut nearby = Nearby::new(30.0);
+/// let mut far = 0;
+/// for scan in 0..20 {
+///     nearby.move_to(DVec3::X * f64::from(scan)); // once a scan; then `changes_near` of an `Incremental`
+///     assert!(nearby.is_due(IVec3::ZERO, 10.0));
+///     far += u32::from(nearby.is_due(IVec3::X * 50, 10.0));
+/// }
+/// assert_eq!(far, 2);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearby {
     place: DVec3,
