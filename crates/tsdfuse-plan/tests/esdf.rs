@@ -5,7 +5,7 @@
 use proptest::prelude::*;
 use tsdfuse::fuse::{FuseConfig, Method};
 use tsdfuse::glam::{DVec3, IVec3, Vec3};
-use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, Nearby, Surface, extract, triangle::closest_on};
+use tsdfuse::mesh::{Changes, Incremental, Mesh, MeshConfig, Nearby, Piece, Surface, extract, triangle::closest_on};
 use tsdfuse::{MapConfig, Pose, Scan, VoxelMap};
 use tsdfuse_plan::esdf::CHUNK;
 use tsdfuse_plan::{Esdf, EsdfConfig};
@@ -207,6 +207,16 @@ fn what_is_near_follows_at_once_and_the_rest_in_turns() {
     assert!(rest.len() > computed.len() && esdf == whole && esdf.update([]).is_empty());
 }
 
+/// That a block has no surface any more.
+fn erased(piece: Piece<'_>) -> Piece<'_> {
+    Piece {
+        vertices: &[],
+        normals: &[],
+        triangles: &[],
+        ..piece
+    }
+}
+
 #[test]
 fn erased_surface_is_forgotten() {
     let config = EsdfConfig::default();
@@ -215,24 +225,14 @@ fn erased_surface_is_forgotten() {
     assert!(!esdf.chunks().is_empty());
     let mut surface = Surface::new(&map, &MeshConfig::default());
     for cube in surface.cubes() {
-        let erased = surface.pieces(cube).unwrap().map(|piece| tsdfuse::mesh::Piece {
-            vertices: &[],
-            normals: &[],
-            triangles: &[],
-            ..piece
-        });
+        let erased = surface.pieces(cube).unwrap().map(erased);
         assert!(!esdf.update(erased).is_empty());
     }
     assert!(esdf == Esdf::new(config).unwrap());
     // Of two pieces of a block, the last counts.
     for cube in surface.cubes() {
         let pieces: Vec<_> = surface.pieces(cube).unwrap().collect();
-        let erased = pieces.iter().map(|piece| tsdfuse::mesh::Piece {
-            vertices: &[],
-            normals: &[],
-            triangles: &[],
-            ..*piece
-        });
+        let erased = pieces.iter().copied().map(erased);
         esdf.update(pieces.iter().copied().chain(erased));
     }
     assert!(esdf == Esdf::new(config).unwrap());

@@ -1,12 +1,13 @@
 //! Sites and distances by chunks of voxels.
 
 use std::cmp::Ordering;
+use std::hash::BuildHasher;
 
 use hashbrown::{HashMap, HashSet};
 use rayon::prelude::*;
 use rustc_hash::FxBuildHasher;
 use tsdfuse::glam::{IVec2, IVec3};
-use tsdfuse::index::BlockIndex;
+use tsdfuse::index::{BlockIndex, RegionIndex};
 use tsdfuse::mesh::Piece;
 
 use super::lattice::{CELLS, Lattice};
@@ -84,14 +85,9 @@ type Blocks = HashMap<BlockIndex, Box<[Site]>, FxBuildHasher>;
 /// The map's blocks are shared out among so many tables, which change side by side.
 const SHARES: usize = 32;
 
-/// The table of a block: that of the blocks around it, too.
-fn share_of(BlockIndex(block): BlockIndex) -> usize {
-    let IVec3 { x, y, z } = block >> 3;
-    let mixed = x
-        .wrapping_mul(5)
-        .wrapping_add(y.wrapping_mul(11))
-        .wrapping_add(z.wrapping_mul(3));
-    mixed.rem_euclid(SHARES as i32) as usize
+/// The table of a block: that of all blocks of its region.
+fn share_of(block: BlockIndex) -> usize {
+    FxBuildHasher.hash_one(RegionIndex::of(block)) as usize % SHARES
 }
 
 /// The chunk that holds a site, and the site within it.
